@@ -1,0 +1,153 @@
+"""The directed graph an AGV moves on: plain arrays, no files, no SUMO.
+
+Vertices are SUMO junctions, edges are SUMO edges. An AGV "at" a vertex stands with its front at the end of the edge
+it came by. Edges are sorted by tail vertex, so the edges that leave vertex ``v`` are
+``range(first_out[v], first_out[v + 1])``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import networkx as nx
+import numpy as np
+from numpy.typing import NDArray
+
+IntArray = NDArray[np.int32]
+FloatArray = NDArray[np.float64]
+
+#: What a vertex can be for. A vertex may have several roles (in the thesis maps a home is also a bay) or none (aisle).
+Role = Literal["slot", "bay", "home", "charger", "refuge"]
+ROLES: tuple[Role, ...] = ("slot", "bay", "home", "charger", "refuge")
+
+
+@dataclass(frozen=True, eq=False)
+class Graph:
+    """A garage as vertices and directed edges.
+
+    Attributes:
+        name: name of the garage.
+        names: vertex ids, shape (n,); the position in this tuple is the vertex index used everywhere else.
+        xy: vertex positions in metres, shape (n, 2).
+        tail, head: vertex indices of each edge's ends, shape (m,), sorted by (tail, head).
+        length_m: driving length of each edge in metres, shape (m,).
+        edge_names: SUMO edge ids, shape (m,).
+        roles: for each role the vertices that have it, in the layout's order.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    xy: FloatArray
+    tail: IntArray
+    head: IntArray
+    length_m: FloatArray
+    edge_names: tuple[str, ...]
+    roles: Mapping[Role, tuple[int, ...]]
+    first_out: IntArray = field(init=False)
+    reverse: IntArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        counts = np.bincount(self.tail, minlength=n)
+        object.__setattr__(self, "first_out", np.concatenate(([0], np.cumsum(counts))).astype(np.int32))
+        index = {(int(u), int(v)): e for e, (u, v) in enumerate(zip(self.tail, self.head, strict=True))}
+        twins = [index.get((int(v), int(u)), -1) for u, v in zip(self.tail, self.head, strict=True)]
+        object.__setattr__(self, "reverse", np.array(twins, dtype=np.int32))
+
+    @property
+    def slots(self) -> tuple[int, ...]:
+        """Vertices where a car can be parked."""
+        return self.roles["slot"]
+
+    @property
+    def bays(self) -> tuple[int, ...]:
+        """Vertices where a customer hands a car over and takes it back."""
+        return self.roles["bay"]
+
+    @property
+    def homes(self) -> tuple[int, ...]:
+        """Vertices where an AGV starts and rests; the first ones are used first."""
+        return self.roles["home"]
+
+    @property
+    def chargers(self) -> tuple[int, ...]:
+        """Vertices with a charging station."""
+        return self.roles["charger"]
+
+    @cached_property
+    def index(self) -> dict[str, int]:
+        """Vertex index by name."""
+        return {name: v for v, name in enumerate(self.names)}
+
+    @cached_property
+    def edge_index(self) -> dict[tuple[int, int], int]:
+        """Edge index by (tail, head)."""
+        return {(int(u), int(v)): e for e, (u, v) in enumerate(zip(self.tail, self.head, strict=True))}
+
+    @cached_property
+    def successors(self) -> tuple[tuple[int, ...], ...]:
+        """Heads of the edges that leave each vertex."""
+        return tuple(
+            tuple(int(h) for h in self.head[self.first_out[v] : self.first_out[v + 1]]) for v in range(len(self.names))
+        )
+
+    @cached_property
+    def heading_deg(self) -> FloatArray:
+        """Heading of each edge in degrees, straight from tail to head, counter-clockwise from east, shape (m,)."""
+        d = self.xy[self.head] - self.xy[self.tail]
+        return np.degrees(np.arctan2(d[:, 1], d[:, 0]))
+
+    def turn_deg(self, edge_in: int, edge_out: int) -> float:
+        """Degrees an AGV rotates in place between two edges.
+
+        An AGV drives either way, so only its axis has to turn: a reversal is 0, a right angle 90, and no turn is
+        more than 90.
+        """
+        angle = abs(float(self.heading_deg[edge_out] - self.heading_deg[edge_in])) % 180.0
+        return min(angle, 180.0 - angle)
+
+    def to_networkx(self) -> nx.DiGraph[int]:
+        """The same graph for model work outside the inner loops; edge attribute ``length_m``."""
+        g: nx.DiGraph[int] = nx.DiGraph(name=self.name)
+        g.add_nodes_from(range(len(self.names)))
+        for u, v, length in zip(self.tail, self.head, self.length_m, strict=True):
+            g.add_edge(int(u), int(v), length_m=float(length))
+        return g
+
+
+def make_graph(
+    name: str,
+    vertices: Sequence[tuple[str, float, float]],
+    edges: Iterable[tuple[str, str, str, float]],
+    roles: Mapping[Role, Sequence[str]] | None = None,
+) -> Graph:
+    """Build a graph from plain rows.
+
+    Args:
+        name: name of the garage.
+        vertices: (id, x in metres, y in metres), in the order of their indices.
+        edges: (edge id, tail vertex id, head vertex id, length in metres), one direction each, any order.
+        roles: vertex ids by role; missing roles are empty.
+
+    Returns:
+        The graph, edges sorted by (tail, head).
+
+    Raises:
+        KeyError: an edge or role names a vertex that is not in ``vertices``.
+    """
+    index = {vid: i for i, (vid, _, _) in enumerate(vertices)}
+    rows = sorted((index[u], index[v], eid, length) for eid, u, v, length in edges)
+    given = roles or {}
+    return Graph(
+        name=name,
+        names=tuple(vid for vid, _, _ in vertices),
+        xy=np.array([(x, y) for _, x, y in vertices], dtype=np.float64).reshape(-1, 2),
+        tail=np.array([r[0] for r in rows], dtype=np.int32),
+        head=np.array([r[1] for r in rows], dtype=np.int32),
+        length_m=np.array([r[3] for r in rows], dtype=np.float64),
+        edge_names=tuple(r[2] for r in rows),
+        roles={role: tuple(index[v] for v in given.get(role, ())) for role in ROLES},
+    )
