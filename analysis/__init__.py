@@ -1,0 +1,1 @@
+"""From records to tables, figures and reports. Never touches the simulation."""

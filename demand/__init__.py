@@ -1,0 +1,1 @@
+"""Seeded request streams. Knows nothing of the controller."""

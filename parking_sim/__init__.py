@@ -1,0 +1,1 @@
+"""Scenario, simulation loop, plants, batch runs and command line."""

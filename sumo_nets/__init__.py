@@ -1,0 +1,1 @@
+"""Layouts, building them into SUMO nets, and reading a net back as a graph."""

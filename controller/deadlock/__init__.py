@@ -1,0 +1,1 @@
+"""Deadlock: found on the wait-for graph, resolved by a ladder of stages."""

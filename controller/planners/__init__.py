@@ -1,0 +1,1 @@
+"""Planners: one file each, and one line each in the table ``controller.planners.table.PLANNERS``."""

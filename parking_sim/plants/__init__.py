@@ -1,0 +1,75 @@
+"""Plants: what carries the controller's commands out. One in SUMO, one in discrete ticks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from controller.types import AgvState, Command, Motion
+from sumo_nets.graph import Graph
+
+
+@dataclass(frozen=True, slots=True)
+class CarAtBay:
+    """The car of a customer stands at a bay's inbound place."""
+
+    car: str
+    bay: int
+
+
+@dataclass(frozen=True, slots=True)
+class CarLeft:
+    """A retrieved car has left the garage and its bay's outbound place is free."""
+
+    car: str
+    bay: int
+
+
+PlantEvent = CarAtBay | CarLeft
+
+
+@dataclass(frozen=True, slots=True)
+class AgvSample:
+    """Where an AGV is, for the trajectory table: metres, degrees counter-clockwise from east, metres a second."""
+
+    agv: int
+    x_m: float
+    y_m: float
+    angle_deg: float
+    speed_mps: float
+
+
+class Plant(Protocol):
+    """The seam between the simulation loop and the world.
+
+    A step of the loop: ``states`` and ``events`` are read, commands are given to ``execute``, ``step`` runs.
+    """
+
+    graph: Graph
+    motion: Motion
+
+    @property
+    def time_s(self) -> float:
+        """Simulated seconds since the start."""
+
+    def states(self) -> Sequence[AgvState]:
+        """One state for each AGV, in their order."""
+
+    def events(self) -> Sequence[PlantEvent]:
+        """What happened with customers' cars in the last step."""
+
+    def arrive(self, car: str) -> None:
+        """A customer comes to the garage and joins the queue in the street."""
+
+    def execute(self, command: Command) -> None:
+        """Carry out one command."""
+
+    def step(self) -> None:
+        """Advance the world by one step of ``motion.step_s`` seconds."""
+
+    def samples(self) -> Sequence[AgvSample]:
+        """Where each AGV is now."""
+
+    def close(self) -> None:
+        """Release what the plant holds; safe to call twice."""

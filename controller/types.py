@@ -1,0 +1,342 @@
+"""The words the controller, the plants and the record share. Everything here is frozen.
+
+Time inside the controller is counted in integer planning *steps*; ``Motion.step_s`` is the one place that says how many
+seconds a step lasts (a SUMO step, or one tick of the discrete plant). Seconds carry the suffix ``_s``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_nets.graph import Graph, IntArray
+
+#: "For ever": later than any step of a run, small enough to add durations to without overflow of int32.
+FOREVER = 1 << 29
+
+
+class AgvMode(StrEnum):
+    """The eight states of an AGV (thesis 2025, section III)."""
+
+    IDLE = "idle"
+    GOING_TO_PARK = "going_to_park"
+    RETURNING_HOME_EMPTY = "returning_home_empty"
+    GOING_TO_COLLECT = "going_to_collect"
+    RETURNING_WITH_CAR = "returning_with_car"
+    GOING_TO_CHARGE = "going_to_charge"
+    CHARGING = "charging"
+    RETURNING_HOME_MAINTENANCE = "returning_home_maintenance"
+
+
+class Action(StrEnum):
+    """What an AGV can do while it stands."""
+
+    TURN = "turn"
+    LIFT = "lift"
+    LOWER = "lower"
+    CHARGE = "charge"
+
+
+class RequestKind(StrEnum):
+    """What a customer wants."""
+
+    PARK = "park"
+    RETRIEVE = "retrieve"
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """One customer's wish.
+
+    Attributes:
+        time_s: when it is made, seconds from the start of the run.
+        kind: park or retrieve.
+        car: name of the car; a retrieval asks for this very car.
+        zone: name prefix of the slots preferred for this car, or "" for any.
+    """
+
+    time_s: float
+    kind: RequestKind
+    car: str
+    zone: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class AgvState:
+    """What the plant sees of one AGV. Counts run over all vertices ever granted to it; its start vertex is number 0.
+
+    Attributes:
+        agv: number of the AGV.
+        reached: number of the last granted vertex that its front has reached.
+        left: number of the first granted vertex that its body may still touch; all before it are free of it.
+        standing: it stands at the last granted vertex and no action is under way.
+        soc: state of charge of the battery, 0 to 1.
+    """
+
+    agv: int
+    reached: int
+    left: int
+    standing: bool
+    soc: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """How long moves take, in planning steps, for empty (row 0) and loaded (row 1) AGVs.
+
+    Attributes:
+        step_s: seconds a planning step lasts.
+        edge_steps: steps to drive each edge, shape (2, m).
+        turn_steps: steps to turn in place between an edge and each edge that leaves its head, shape (2, t);
+            the transitions of edge ``e`` start at ``first_transition[e]`` and follow the order of the out-edges.
+        first_transition: shape (m + 1,).
+        following: True when a vertex may be entered in the very step in which it is left (discrete plant); False
+            when the body needs both vertices while it drives (SUMO).
+    """
+
+    step_s: float
+    edge_steps: IntArray
+    turn_steps: IntArray
+    first_transition: IntArray
+    following: bool
+
+    def turn(self, graph: Graph, edge_in: int, edge_out: int, loaded: bool) -> int:
+        """Steps to turn from one edge to the next; 0 without an edge to come from (``edge_in`` -1)."""
+        if edge_in < 0:
+            return 0
+        k = int(self.first_transition[edge_in]) + edge_out - int(graph.first_out[graph.head[edge_in]])
+        return int(self.turn_steps[int(loaded), k])
+
+
+def make_motion(
+    graph: Graph,
+    step_s: float,
+    edge_steps: Callable[[float, bool], int],
+    turn_steps: Callable[[float, bool], int],
+    following: bool,
+) -> Motion:
+    """Tabulate durations over a graph.
+
+    Args:
+        graph: the garage.
+        step_s: seconds a planning step lasts.
+        edge_steps: steps (at least 1) for an edge of so many metres, loaded or not.
+        turn_steps: steps for a turn of so many degrees (0 to 90), loaded or not.
+        following: see ``Motion``.
+
+    Returns:
+        The tables.
+    """
+    m = len(graph.tail)
+    degree = np.diff(graph.first_out)
+    first = np.concatenate(([0], np.cumsum(degree[graph.head]))).astype(np.int32)
+    turns = np.zeros((2, int(first[-1])), dtype=np.int32)
+    known: dict[tuple[float, bool], int] = {}
+    for e in range(m):
+        out = int(graph.first_out[graph.head[e]])
+        for k in range(int(first[e]), int(first[e + 1])):
+            angle = round(graph.turn_deg(e, out + k - int(first[e])), 3)
+            for loaded in (False, True):
+                if (angle, loaded) not in known:
+                    known[angle, loaded] = turn_steps(angle, loaded)
+                turns[int(loaded), k] = known[angle, loaded]
+    edges = np.array([[edge_steps(float(x), ld) for x in graph.length_m] for ld in (False, True)], dtype=np.int32)
+    return Motion(step_s, edges.reshape(2, m), turns, first, following)
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """One agent's way. ``vertices[0]`` is where it stands at step 0.
+
+    It leaves ``vertices[i]`` at step ``depart[i]`` and its front reaches ``vertices[i + 1]`` at ``arrive[i + 1]``;
+    turning happens before the departure. ``vertices[i]`` belongs to it from ``depart[i - 1]`` (``arrive[i]`` when
+    following is allowed) until ``arrive[i + 1]``, the last vertex until ``until``.
+
+    Attributes:
+        agv: number of the AGV.
+        vertices: visited vertices, neighbours in the graph, at least one.
+        arrive: step of arrival at each vertex, ``arrive[0]`` is 0.
+        depart: step of departure from each vertex but the last.
+        until: end of the last vertex's occupation: the window's end, or ``FOREVER`` when it may rest there.
+    """
+
+    agv: int
+    vertices: tuple[int, ...]
+    arrive: tuple[int, ...]
+    depart: tuple[int, ...]
+    until: int = FOREVER
+
+
+@dataclass(frozen=True, slots=True)
+class PlanAgent:
+    """An agent as the planner sees it.
+
+    Attributes:
+        agv: number of the AGV.
+        vertex: where the authority already granted to it ends: the plan starts there.
+        in_edge: edge by which it comes to ``vertex``, -1 at the start of a run (its first move needs no turn).
+        ready_step: first step at which it can leave ``vertex`` (it may still drive, turn or lift until then).
+        goal: vertex it has to reach; equal to ``vertex`` when it has nothing to do.
+        loaded: it carries a car.
+        dwell_steps: steps it will stay at the goal (lifting, lowering).
+        priority: higher goes first.
+    """
+
+    agv: int
+    vertex: int
+    in_edge: int
+    ready_step: int
+    goal: int
+    loaded: bool
+    dwell_steps: int = 0
+    priority: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class PlanningProblem:
+    """Everything a planner may know. It never sees the simulator.
+
+    Attributes:
+        graph, motion: the garage and how long moves take.
+        agents: the agents to plan for.
+        fixed: paths of agents that are not to be replanned; plans must keep clear of them.
+        blocked: shape (n,), 1 where nobody may drive (a parked car, a fault); a goal or start is exempt for its
+            own agent.
+        no_rest: shape (n,), 1 where no agent may come to rest but the one whose goal it is.
+        window_steps: planning horizon in steps, ``FOREVER`` for complete paths.
+        seed: for planners that draw random numbers.
+    """
+
+    graph: Graph
+    motion: Motion
+    agents: tuple[PlanAgent, ...]
+    fixed: tuple[Path, ...]
+    blocked: NDArray[np.uint8]
+    no_rest: NDArray[np.uint8]
+    window_steps: int
+    seed: int = 0
+
+
+class Status(StrEnum):
+    """How a planning call ended. "No solution" is a status, not an exception."""
+
+    SOLVED = "solved"
+    PARTIAL = "partial"
+    INFEASIBLE = "infeasible"
+    TIMEOUT = "timeout"
+
+
+@dataclass(slots=True)
+class Counters:
+    """Search work, one meaning for every planner.
+
+    Attributes:
+        expanded: states taken from an open list and expanded.
+        heap_moves: pushes, pops and swaps inside heaps.
+        generated: states put on an open list.
+        valid: expanded states that were not stale (not reached better before).
+        slot_choice: states expanded while choosing a slot, kept apart from ``expanded``.
+    """
+
+    expanded: int = 0
+    heap_moves: int = 0
+    generated: int = 0
+    valid: int = 0
+    slot_choice: int = 0
+
+    def add(self, other: Counters) -> None:
+        """Add another count to this one."""
+        self.expanded += other.expanded
+        self.heap_moves += other.heap_moves
+        self.generated += other.generated
+        self.valid += other.valid
+        self.slot_choice += other.slot_choice
+
+
+@dataclass(frozen=True, slots=True)
+class PlanResult:
+    """A planner's answer.
+
+    Attributes:
+        status: SOLVED when every agent has a conflict-free path as far as the window; PARTIAL when some agents only
+            hold their place (named in ``failed``); INFEASIBLE or TIMEOUT when there is no plan at all.
+        paths: by AGV number; with PARTIAL only of those that got one, agents without one keep their place.
+        failed: for each agent without a path the AGV that is in its way, or -1 if unknown.
+        counters: search work of this call.
+    """
+
+    status: Status
+    paths: Mapping[int, Path]
+    failed: Mapping[int, int] = field(default_factory=dict)
+    counters: Counters = field(default_factory=Counters)
+
+
+#: A planner is anything that answers a problem. Those with search memory are objects with ``__call__``.
+Planner = Callable[[PlanningProblem], PlanResult]
+
+
+@dataclass(frozen=True, slots=True)
+class Conflict:
+    """Two agents that may not do what they plan.
+
+    Attributes:
+        kind: "vertex" (one place, one time), "swap" (one edge, opposite ways) or "following" (a vertex entered
+            before the body of the one ahead has left it).
+        agents: the two AGV numbers.
+        vertex: where; for a swap the vertex the first agent enters.
+        step: first step at which they meet.
+    """
+
+    kind: str
+    agents: tuple[int, int]
+    vertex: int
+    step: int
+
+
+@dataclass(frozen=True, slots=True)
+class Advance:
+    """Command: drive on to these vertices, granted in this order, and stop at the last."""
+
+    agv: int
+    vertices: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Act:
+    """Command: do this while standing, for so many steps. ``car`` is what is lifted or lowered."""
+
+    agv: int
+    action: Action
+    steps: int
+    car: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CallForward:
+    """Command: send the customer who waits in the street to this bay's inbound place."""
+
+    car: str
+    bay: int
+
+
+@dataclass(frozen=True, slots=True)
+class HandOver:
+    """Command: a retrieved car stands at the bay's outbound place, its customer gets in."""
+
+    car: str
+    bay: int
+
+
+@dataclass(frozen=True, slots=True)
+class DriveOff:
+    """Command: the customer of a retrieved car leaves the bay's outbound place."""
+
+    car: str
+    bay: int
+
+
+Command = Advance | Act | CallForward | HandOver | DriveOff
