@@ -125,7 +125,8 @@ def make_motion(
         graph: the garage.
         step_s: seconds a planning step lasts.
         edge_steps: steps (at least 1) for an edge of so many metres, loaded or not.
-        turn_steps: steps for a turn of so many degrees (0 to 90), loaded or not.
+        turn_steps: steps for a turn of so many degrees (0 to 90), loaded or not; 180.0 asks for a reversal, which
+            rotates nothing but may cost a stop.
         following: see ``Motion``.
 
     Returns:
@@ -139,7 +140,8 @@ def make_motion(
     for e in range(m):
         out = int(graph.first_out[graph.head[e]])
         for k in range(int(first[e]), int(first[e + 1])):
-            angle = round(graph.turn_deg(e, out + k - int(first[e])), 3)
+            onto = out + k - int(first[e])
+            angle = 180.0 if onto == graph.reverse[e] else round(graph.turn_deg(e, onto), 3)
             for loaded in (False, True):
                 if (angle, loaded) not in known:
                     known[angle, loaded] = turn_steps(angle, loaded)
