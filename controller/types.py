@@ -93,6 +93,8 @@ class Motion:
         edge_steps: steps to drive each edge, shape (2, m).
         turn_steps: steps to turn in place between an edge and each edge that leaves its head, shape (2, t);
             the transitions of edge ``e`` start at ``first_transition[e]`` and follow the order of the out-edges.
+            Planning counts all the time that a turn costs, stopping and starting included.
+        rotation_steps: the part of ``turn_steps`` in which the AGV stands and rotates, same shape.
         first_transition: shape (m + 1,).
         following: True when a vertex may be entered in the very step in which it is left (discrete plant); False
             when the body needs both vertices while it drives (SUMO).
@@ -101,15 +103,17 @@ class Motion:
     step_s: float
     edge_steps: IntArray
     turn_steps: IntArray
+    rotation_steps: IntArray
     first_transition: IntArray
     following: bool
 
+    def transition(self, graph: Graph, edge_in: int, edge_out: int) -> int:
+        """Column of an edge and a next edge in the turn tables."""
+        return int(self.first_transition[edge_in]) + edge_out - int(graph.first_out[graph.head[edge_in]])
+
     def turn(self, graph: Graph, edge_in: int, edge_out: int, loaded: bool) -> int:
         """Steps to turn from one edge to the next; 0 without an edge to come from (``edge_in`` -1)."""
-        if edge_in < 0:
-            return 0
-        k = int(self.first_transition[edge_in]) + edge_out - int(graph.first_out[graph.head[edge_in]])
-        return int(self.turn_steps[int(loaded), k])
+        return 0 if edge_in < 0 else int(self.turn_steps[int(loaded), self.transition(graph, edge_in, edge_out)])
 
 
 def make_motion(
@@ -118,6 +122,7 @@ def make_motion(
     edge_steps: Callable[[float, bool], int],
     turn_steps: Callable[[float, bool], int],
     following: bool,
+    rotation_steps: Callable[[float, bool], int] | None = None,
 ) -> Motion:
     """Tabulate durations over a graph.
 
@@ -125,9 +130,9 @@ def make_motion(
         graph: the garage.
         step_s: seconds a planning step lasts.
         edge_steps: steps (at least 1) for an edge of so many metres, loaded or not.
-        turn_steps: steps for a turn of so many degrees (0 to 90), loaded or not; 180.0 asks for a reversal, which
-            rotates nothing but may cost a stop.
+        turn_steps: steps for a turn of so many degrees, loaded or not: 0 to 90, or 180 for a reversal.
         following: see ``Motion``.
+        rotation_steps: steps of standing rotation in a turn, same arguments; ``turn_steps`` unless given.
 
     Returns:
         The tables.
@@ -135,19 +140,22 @@ def make_motion(
     m = len(graph.tail)
     degree = np.diff(graph.first_out)
     first = np.concatenate(([0], np.cumsum(degree[graph.head]))).astype(np.int32)
-    turns = np.zeros((2, int(first[-1])), dtype=np.int32)
-    known: dict[tuple[float, bool], int] = {}
+    angles = np.zeros(int(first[-1]))
     for e in range(m):
         out = int(graph.first_out[graph.head[e]])
         for k in range(int(first[e]), int(first[e + 1])):
-            onto = out + k - int(first[e])
-            angle = 180.0 if onto == graph.reverse[e] else round(graph.turn_deg(e, onto), 3)
-            for loaded in (False, True):
-                if (angle, loaded) not in known:
-                    known[angle, loaded] = turn_steps(angle, loaded)
-                turns[int(loaded), k] = known[angle, loaded]
-    edges = np.array([[edge_steps(float(x), ld) for x in graph.length_m] for ld in (False, True)], dtype=np.int32)
-    return Motion(step_s, edges.reshape(2, m), turns, first, following)
+            f = out + k - int(first[e])
+            angles[k] = 180.0 if f == graph.reverse[e] else round(graph.turn_deg(e, f), 3)
+    kinds, which = np.unique(angles, return_inverse=True)
+
+    def table(steps: Callable[[float, bool], int]) -> IntArray:
+        rows = [[steps(float(a), loaded) for a in kinds] for loaded in (False, True)]
+        return np.array(rows, dtype=np.int32).reshape(2, -1)[:, which].reshape(2, len(angles))
+
+    edges = np.array([[edge_steps(float(x), loaded) for x in graph.length_m] for loaded in (False, True)], dtype=np.int32)
+    turns = table(turn_steps)
+    rotations = turns if rotation_steps is None else table(rotation_steps)
+    return Motion(step_s, edges.reshape(2, m), turns, rotations, first, following)
 
 
 @dataclass(frozen=True, slots=True)
