@@ -152,7 +152,8 @@ def make_motion(
         rows = [[steps(float(a), loaded) for a in kinds] for loaded in (False, True)]
         return np.array(rows, dtype=np.int32).reshape(2, -1)[:, which].reshape(2, len(angles))
 
-    edges = np.array([[edge_steps(float(x), loaded) for x in graph.length_m] for loaded in (False, True)], dtype=np.int32)
+    driving = [[edge_steps(float(x), loaded) for x in graph.length_m] for loaded in (False, True)]
+    edges = np.array(driving, dtype=np.int32)
     turns = table(turn_steps)
     rotations = turns if rotation_steps is None else table(rotation_steps)
     return Motion(step_s, edges.reshape(2, m), turns, rotations, first, following)

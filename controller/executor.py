@@ -1,0 +1,233 @@
+"""The executor: carries plans out whatever happens, and never lets two AGVs meet.
+
+A plan is taken as a visiting order for each vertex; its clock is forgotten (Hönig et al. 2019, action dependency graph;
+Ma, Kumar and Koenig 2017, MAPF-POST). The story of a vertex:
+
+1. *order*: the accepted plan says in which order AGVs visit it;
+2. *claim*: the first in the order claims it when it is free and the AGV's authority ends next door;
+3. *grant*: a claimed vertex is granted to the plant, the AGV may drive there;
+4. *free*: the vertex belongs to the AGV until the plant says that its rear has left.
+
+Both directions of a lane lie between two vertices, and an AGV on it owns at least one of them while the one it leaves
+is not free yet, so opposite moves on one lane exclude each other. A wrong plan is refused, or stops the garage; it
+cannot make two AGVs meet.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from controller.types import Act, Action, Advance, AgvState, Command, Motion, Path
+from controller.visits import Refusal, visiting_order
+from sumo_nets.graph import Graph
+
+
+@dataclass(slots=True)
+class Authority:
+    """What one AGV may do.
+
+    Attributes:
+        trail: vertices that belong to the AGV, oldest first; the last one is where its authority ends.
+        first: number (in the plant's counting) of ``trail[0]``.
+        reached: number of the last vertex its front has reached.
+        in_edge: edge into the last vertex of the trail, -1 before the first move.
+        pending: vertices planned but not granted.
+        standing: at the end of its authority with nothing under way.
+        acting_until: step at which the action under way ends, -1 when none is.
+        turned_to: vertex it has turned towards, -1 when it has not.
+        since: step of the last change of ``reached``.
+        loaded: it carries a car.
+    """
+
+    trail: deque[int]
+    first: int = 0
+    reached: int = 0
+    in_edge: int = -1
+    pending: deque[int] = field(default_factory=deque)
+    standing: bool = True
+    acting_until: int = -1
+    turned_to: int = -1
+    since: int = 0
+    loaded: bool = False
+
+    @property
+    def last(self) -> int:
+        """Vertex where the authority ends."""
+        return self.trail[-1]
+
+    @property
+    def granted(self) -> int:
+        """Number of the last granted vertex."""
+        return self.first + len(self.trail) - 1
+
+
+class Executor:
+    """Keeps the visiting orders and grants vertices.
+
+    Args:
+        graph, motion: the garage and how long moves take.
+        starts: start vertex of each AGV, all different.
+        lookahead: vertices granted ahead of the last reached one; 1 where following is allowed (one cell a tick).
+
+    Raises:
+        ValueError: two AGVs start on one vertex.
+    """
+
+    def __init__(self, graph: Graph, motion: Motion, starts: Sequence[int], lookahead: int = 3) -> None:
+        if len(set(starts)) != len(starts):
+            raise ValueError("two AGVs start on one vertex")
+        self.graph = graph
+        self.motion = motion
+        self.lookahead = 1 if motion.following else lookahead
+        self.agvs = [Authority(trail=deque([v])) for v in starts]
+        self.owner = [-1] * len(graph.names)
+        for agv, v in enumerate(starts):
+            self.owner[v] = agv
+        self.order: dict[int, deque[int]] = {}
+        self.moves = 0
+        self._due: set[int] = set()
+
+    def accept(self, paths: Mapping[int, Path]) -> Refusal | None:
+        """Replace all visiting orders by a plan; AGVs without a path keep their place.
+
+        Args:
+            paths: by AGV number; each starts where that AGV's authority ends.
+
+        Returns:
+            None when the plan is taken, otherwise why it is refused; then the orders are as before.
+        """
+        for agv, path in paths.items():
+            if path.vertices[0] != self.agvs[agv].last:
+                return Refusal("start", (agv,), path.vertices[0], "the path does not start where the authority ends")
+        holding = {agv: a.last for agv, a in enumerate(self.agvs) if agv not in paths}
+        order = visiting_order(paths, holding, self.graph, self.motion)
+        if isinstance(order, Refusal):
+            return order
+        self.order = order
+        for agv, a in enumerate(self.agvs):
+            a.pending = deque(paths[agv].vertices[1:]) if agv in paths else deque()
+        self._due.update(range(len(self.agvs)))
+        return None
+
+    def update(self, states: Iterable[AgvState], step: int) -> list[int]:
+        """Take over what the plant saw; free what has been left.
+
+        Returns:
+            The AGVs that came to stand at the end of their authority in this step.
+        """
+        stopped = []
+        for s in states:
+            a = self.agvs[s.agv]
+            while a.first < s.left:
+                a.first += 1
+                self._free(s.agv, a.trail.popleft())
+            if s.reached != a.reached:
+                a.reached, a.since = s.reached, step
+                self._due.add(s.agv)
+            standing = s.standing and a.reached == a.granted
+            if standing and not a.standing:
+                stopped.append(s.agv)
+                self._due.add(s.agv)
+            a.standing = standing
+            if standing and 0 <= a.acting_until <= step:
+                a.acting_until = -1
+                self._due.add(s.agv)
+        return stopped
+
+    def act(self, agv: int, action: Action, steps: int, step: int, car: str = "") -> Act:
+        """Start an action of a standing AGV and return the command for it.
+
+        Raises:
+            RuntimeError: the AGV does not stand or is acting already.
+        """
+        a = self.agvs[agv]
+        if not a.standing or a.acting_until >= 0:
+            raise RuntimeError(f"AGV {agv} cannot {action.value}: it is not standing idle")
+        a.acting_until = step + steps
+        a.standing = steps == 0
+        return Act(agv, action, steps, car)
+
+    def grants(self, step: int) -> list[Command]:
+        """Grant what the orders allow now.
+
+        Returns:
+            Advances and turns, in the order in which they have to be carried out.
+        """
+        commands: list[Command] = []
+        due = sorted(self._due)
+        self._due.clear()
+        while due:
+            for agv in due:
+                self._extend(agv, step, commands)
+            due = sorted(self._due)
+            self._due.clear()
+        return commands
+
+    def _extend(self, agv: int, step: int, commands: list[Command]) -> None:
+        a = self.agvs[agv]
+        run: list[int] = []
+        while a.pending and a.acting_until < 0 and a.granted - a.reached < self.lookahead:
+            w = a.pending[0]
+            edge = self.graph.edge_index[a.last, w]
+            if a.in_edge >= 0:
+                k = self.motion.transition(self.graph, a.in_edge, edge)
+                if self.motion.turn_steps[int(a.loaded), k] and a.turned_to != w:
+                    rotation = int(self.motion.rotation_steps[int(a.loaded), k])
+                    if not a.standing or run:
+                        break
+                    a.turned_to = w
+                    if rotation:
+                        commands.append(self.act(agv, Action.TURN, rotation, step))
+                        break
+            if not self._claim(agv, w):
+                break
+            a.pending.popleft()
+            a.turned_to = -1
+            if self.motion.following:
+                self._leave_behind(agv)
+            a.trail.append(w)
+            a.in_edge = edge
+            a.standing = False
+            run.append(w)
+        if run:
+            if len(a.trail) == len(run) + 1 and a.reached == a.granted - len(run):
+                a.since = step
+            self.moves += len(run)
+            commands.append(Advance(agv, tuple(run)))
+
+    def _claim(self, agv: int, vertex: int) -> bool:
+        if self.owner[vertex] not in (-1, agv) or self.order[vertex][0] != agv:
+            return False
+        self.order[vertex].popleft()
+        self.owner[vertex] = agv
+        return True
+
+    def _leave_behind(self, agv: int) -> None:
+        """Free the vertex an AGV stands on: in discrete ticks a granted move is carried out in this very tick."""
+        a = self.agvs[agv]
+        a.first += 1
+        self._free(agv, a.trail.popleft())
+
+    def _free(self, agv: int, vertex: int) -> None:
+        if vertex in self.agvs[agv].trail:
+            return
+        self.owner[vertex] = -1
+        waiting = self.order.get(vertex)
+        if waiting:
+            self._due.add(waiting[0])
+
+    def ready_step(self, agv: int, step: int) -> int:
+        """Estimated steps until an AGV can leave the end of its authority."""
+        a = self.agvs[agv]
+        if a.acting_until >= 0:
+            return max(a.acting_until - step, 0)
+        ahead = a.granted - a.reached
+        if a.standing or ahead == 0:
+            return 0 if a.standing else 1
+        trail = list(a.trail)[-ahead - 1 :]
+        steps = self.motion.edge_steps[int(a.loaded)]
+        total = sum(int(steps[self.graph.edge_index[u, v]]) for u, v in pairwise(trail))
+        return max(total - (step - a.since), 1)
