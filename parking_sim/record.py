@@ -1,0 +1,400 @@
+"""The record of a run: one row per event, per task, per sample and per planning call, written as Parquet.
+
+Rows are kept as plain tuples while the run lasts, which costs about a microsecond each (five with a detail), and become
+columns only when the run is written. The order of rows is the order in which they were added, files are compressed by
+one thread, and columns of wall-clock time start with ``wall_``: two runs of one scenario and seed write the same bytes
+but for these.
+
+``COLUMNS`` explains every column, ``KINDS`` every kind of event and what its detail holds, ``META`` the keys of
+``run.json`` that the analysis reads.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from operator import attrgetter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import duckdb
+
+    from parking_sim.plants import AgvSample
+
+#: Not reached: the value of a time that never came.
+NAN = math.nan
+
+_TIME = ("time_s", "DOUBLE", "s", "simulated time since the start of the run")
+_AGV = ("agv", "INTEGER", "", "number of the AGV, -1 for none")
+_CAR = ("car", "VARCHAR", "", "name of the car, empty for none")
+
+#: Table -> (column, SQL type, unit, meaning), in the order of the file.
+_SCHEMA: Mapping[str, tuple[tuple[str, str, str, str], ...]] = {
+    "events": (
+        _TIME,
+        ("kind", "VARCHAR", "", "what happened, one of KINDS"),
+        _AGV,
+        _CAR,
+        ("vertex", "VARCHAR", "", "name of the vertex where it happened, empty for none"),
+        ("detail", "VARCHAR", "", "JSON object with sorted keys, its keys as KINDS says; empty for none"),
+    ),
+    "tasks": (
+        ("request", "INTEGER", "", "number of the request, in the order in which requests were made"),
+        ("kind", "VARCHAR", "", "park or retrieve"),
+        _CAR,
+        ("state", "VARCHAR", "", "served, waiting (at the end of the run) or refused"),
+        ("reason", "VARCHAR", "", "why it was refused or still waits, empty if served"),
+        ("agv", "INTEGER", "", "number of the AGV that served it, -1 for none"),
+        ("origin", "VARCHAR", "", "name of the vertex where the car was lifted, empty if never assigned"),
+        ("destination", "VARCHAR", "", "name of the vertex where the car was lowered, empty if never assigned"),
+        ("requested_s", "DOUBLE", "s", "the request was made; to park: the customer reached the garage"),
+        ("at_bay_s", "DOUBLE", "s", "to park: the car stands at the bay; null to retrieve"),
+        ("ready_s", "DOUBLE", "s", "to park: the customer has left the car; to retrieve: the car could be fetched"),
+        ("assigned_s", "DOUBLE", "s", "an AGV was told to do it"),
+        ("lifted_s", "DOUBLE", "s", "the car is on the AGV"),
+        ("delivered_s", "DOUBLE", "s", "the car is lowered: in its slot (park) or at the bay (retrieve)"),
+        ("done_s", "DOUBLE", "s", "to park: as delivered_s; to retrieve: the customer has driven off"),
+    ),
+    "trajectory": (
+        _TIME,
+        ("agv", "INTEGER", "", "number of the AGV"),
+        ("x_m", "DOUBLE", "m", "centre of the AGV, to the east"),
+        ("y_m", "DOUBLE", "m", "centre of the AGV, to the north"),
+        ("angle_deg", "DOUBLE", "degree", "heading, counter-clockwise from east"),
+        ("speed_mps", "DOUBLE", "m/s", "speed"),
+        ("mode", "VARCHAR", "", "state of the AGV, one of controller.types.AgvMode"),
+        ("car", "VARCHAR", "", "name of the car it carries, empty for none"),
+        ("soc", "DOUBLE", "", "state of charge of the battery, 0 to 1"),
+    ),
+    "timeline": (
+        _TIME,
+        ("queue", "INTEGER", "cars", "cars of customers that wait to reach a bay"),
+        ("spilled", "INTEGER", "cars", "those of them that stand on the public street"),
+        ("parked", "INTEGER", "cars", "cars in slots"),
+        ("waiting_requests", "INTEGER", "requests", "requests that could be served but have no AGV yet"),
+        ("active_agvs", "INTEGER", "AGVs", "AGVs that have a task"),
+    ),
+    "planning": (
+        _TIME,
+        ("agents", "INTEGER", "AGVs", "agents planned for in this call"),
+        ("status", "VARCHAR", "", "solved, partial, infeasible or timeout"),
+        ("window_steps", "INTEGER", "steps", "planning horizon"),
+        ("expanded", "BIGINT", "states", "states taken from an open list and expanded"),
+        ("heap_moves", "BIGINT", "moves", "pushes, pops and swaps inside heaps"),
+        ("generated", "BIGINT", "states", "states put on an open list"),
+        ("valid", "BIGINT", "states", "expanded states that were not stale"),
+        ("slot_choice", "BIGINT", "states", "states expanded while choosing a slot, not counted in expanded"),
+        ("wall_ms", "DOUBLE", "ms", "wall-clock time of the call; differs from run to run"),
+    ),
+    "agvs": (
+        ("agv", "INTEGER", "", "number of the AGV"),
+        ("moves", "INTEGER", "edges", "edges driven (cells on a grid)"),
+        ("distance_m", "DOUBLE", "m", "distance driven"),
+        ("tasks", "INTEGER", "tasks", "tasks done"),
+        ("empty_s", "DOUBLE", "s", "driving without a car"),
+        ("loaded_s", "DOUBLE", "s", "driving with a car"),
+        ("turning_s", "DOUBLE", "s", "turning in place"),
+        ("lifting_s", "DOUBLE", "s", "lifting cars"),
+        ("lowering_s", "DOUBLE", "s", "lowering cars"),
+        ("waiting_s", "DOUBLE", "s", "standing with a task, for others or for a customer"),
+        ("charging_s", "DOUBLE", "s", "charging"),
+        ("idle_s", "DOUBLE", "s", "standing without a task"),
+        ("energy_wh", "DOUBLE", "Wh", "energy drawn from the battery, without what was charged"),
+    ),
+}
+
+#: The column dictionary: table -> column -> (unit, meaning).
+COLUMNS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    table: {name: (unit, meaning) for name, _, unit, meaning in columns} for table, columns in _SCHEMA.items()
+}
+
+#: Kind of event -> what happened, and the keys of its detail.
+KINDS: Mapping[str, str] = {
+    "request_made": "a customer asks: request (number), what (park or retrieve)",
+    "request_refused": "a request can't be served: request, reason",
+    "car_at_bay": "a customer's car stands at a bay: request",
+    "car_ready": "the customer has left the car, it may be lifted: request",
+    "task_assigned": "an AGV gets a task: request, origin, destination",
+    "lift": "a car is on the AGV: request",
+    "lower": "a car is lowered: request",
+    "task_done": "a request is served: request",
+    "car_left": "a retrieved car has left the garage: request",
+    "agv_mode": "an AGV changes its state: from, to",
+    "plan_partial": "a planning call left agents without a path: failed (AGV numbers)",
+    "plan_rejected": "a plan was refused by the executor's check: reason",
+    "deadlock_found": "AGVs wait for each other in a ring: deadlock (number), members (AGV numbers), cause",
+    "deadlock_resolved": "a deadlock is over: deadlock, members, cause, stage (what resolved it), "
+    "cost_s (seconds since it was found)",
+    "stage_failed": "a stage of the resolution made no progress: deadlock, stage, reason",
+    "charge_start": "an AGV starts to charge: soc",
+    "charge_end": "an AGV ends charging: soc",
+    "grant": "an AGV may drive on (recorded on request): vertices",
+    "overlap": "the footprints of two bodies overlap: others (AGV numbers or cars), clearance_m",
+    "collision": "SUMO reports a collision: others",
+    "fault_start": "an AGV stands still by a fault: cause",
+    "fault_end": "an AGV works again",
+}
+
+#: Keys of ``run.json`` that the analysis knows -> (unit, meaning). Others are kept and shown as they are. Keys that
+#: start with ``wall_`` differ from run to run.
+META: Mapping[str, tuple[str, str]] = {
+    "status": ("", "finished, time_limit, stalled, interrupted or failed"),
+    "command": ("", "command line that repeats the run"),
+    "scenario": ("", "the whole scenario as run, defaults filled in"),
+    "seed": ("", "seed of the run"),
+    "versions": ("", "name -> version of program, Python, SUMO and libraries"),
+    "map": ("", "name of the layout"),
+    "step_s": ("s", "simulated seconds a planning step lasts"),
+    "simulated_s": ("s", "simulated seconds"),
+    "tasks_wanted": ("tasks", "tasks the scenario asks for"),
+    "sumo_collisions": ("", "collisions SUMO reported"),
+    "footprint_overlaps": ("", "pairs of bodies seen to overlap by the independent check"),
+    "least_clearance_m": ("m", "least distance between two bodies in the run"),
+    "cars_initial": ("cars", "cars parked before the first step"),
+    "cars_arrived": ("cars", "cars that came to the garage"),
+    "cars_parked": ("cars", "cars in slots at the end"),
+    "cars_left": ("cars", "cars that have left"),
+    "cars_in_transit": ("cars", "cars in the street, at bays and on AGVs at the end"),
+    "wall_s": ("s", "wall-clock seconds: total, sumo, planning, execution, recording"),
+    "digest": ("", "table -> SHA-256 of its rows without wall-clock columns; added by the recorder"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class TaskRow:
+    """One request and what became of it; the fields are the columns of ``COLUMNS["tasks"]``."""
+
+    request: int
+    kind: str
+    car: str
+    state: str
+    reason: str = ""
+    agv: int = -1
+    origin: str = ""
+    destination: str = ""
+    requested_s: float = NAN
+    at_bay_s: float = NAN
+    ready_s: float = NAN
+    assigned_s: float = NAN
+    lifted_s: float = NAN
+    delivered_s: float = NAN
+    done_s: float = NAN
+
+
+@dataclass(frozen=True, slots=True)
+class AgvRow:
+    """What one AGV did in the whole run; the fields are the columns of ``COLUMNS["agvs"]``."""
+
+    agv: int
+    moves: int = 0
+    distance_m: float = 0.0
+    tasks: int = 0
+    empty_s: float = 0.0
+    loaded_s: float = 0.0
+    turning_s: float = 0.0
+    lifting_s: float = 0.0
+    lowering_s: float = 0.0
+    waiting_s: float = 0.0
+    charging_s: float = 0.0
+    idle_s: float = 0.0
+    energy_wh: float = 0.0
+
+
+_task_values = attrgetter(*(f.name for f in fields(TaskRow)))
+_agv_values = attrgetter(*(f.name for f in fields(AgvRow)))
+
+
+def _plain(value: object) -> object:
+    """What JSON can't say itself: numpy numbers and arrays, sets (sorted), anything else as text."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, set | frozenset):
+        return sorted(value)
+    return str(value)
+
+
+_compact = json.JSONEncoder(sort_keys=True, separators=(",", ":"), default=_plain).encode
+
+
+class Recorder:
+    """Collects the rows of one run; ``write`` puts them into a folder."""
+
+    def __init__(self) -> None:
+        self._rows: dict[str, list[tuple[Any, ...]]] = {table: [] for table in _SCHEMA}
+        self._event = self._rows["events"].append
+        self._samples = self._rows["trajectory"].extend
+
+    def event(self, time_s: float, kind: str, agv: int = -1, car: str = "", vertex: str = "", **detail: object) -> None:
+        """Something happened.
+
+        Args:
+            time_s: simulated seconds.
+            kind: one of ``KINDS``.
+            agv: number of the AGV, -1 for none.
+            car: name of the car.
+            vertex: name of the vertex.
+            detail: what ``KINDS`` names for this kind; finite numbers, texts, lists and dictionaries of these.
+        """
+        self._event((time_s, kind, agv, car, vertex, _compact(detail) if detail else ""))
+
+    def task(self, row: TaskRow) -> None:
+        """One request, at the end of the run."""
+        self._rows["tasks"].append(_task_values(row))
+
+    def agv(self, row: AgvRow) -> None:
+        """What one AGV did, at the end of the run."""
+        self._rows["agvs"].append(_agv_values(row))
+
+    def sample(
+        self,
+        time_s: float,
+        samples: Sequence[AgvSample],
+        modes: Sequence[str],
+        cars: Sequence[str],
+        socs: Sequence[float],
+    ) -> None:
+        """Where all AGVs are.
+
+        Args:
+            time_s: simulated seconds.
+            samples: position, heading and speed of each AGV.
+            modes, cars, socs: state, carried car ("" for none) and state of charge of each, in the same order.
+
+        Raises:
+            ValueError: if the sequences differ in length.
+        """
+        self._samples(
+            [
+                (time_s, s.agv, s.x_m, s.y_m, s.angle_deg, s.speed_mps, mode, car, soc)
+                for s, mode, car, soc in zip(samples, modes, cars, socs, strict=True)
+            ]
+        )
+
+    def timeline(
+        self, time_s: float, queue: int, spilled: int, parked: int, waiting_requests: int, active_agvs: int
+    ) -> None:
+        """Counts at one moment; each holds until the next one. See ``COLUMNS["timeline"]``."""
+        self._rows["timeline"].append((time_s, queue, spilled, parked, waiting_requests, active_agvs))
+
+    def planning(
+        self,
+        time_s: float,
+        agents: int,
+        status: str,
+        window_steps: int,
+        expanded: int,
+        heap_moves: int,
+        generated: int,
+        valid: int,
+        wall_ms: float,
+        slot_choice: int = 0,
+    ) -> None:
+        """One planning call. See ``COLUMNS["planning"]``."""
+        self._rows["planning"].append(
+            (time_s, agents, status, window_steps, expanded, heap_moves, generated, valid, slot_choice, wall_ms)
+        )
+
+    def rows(self, table: str) -> Sequence[tuple[Any, ...]]:
+        """The rows of a table so far, in the order of ``COLUMNS[table]``."""
+        return self._rows[table]
+
+    def columns(self, table: str) -> dict[str, NDArray[Any]]:
+        """A table so far as arrays: numbers, or objects for text; NaN where a time was not reached."""
+        rows = self._rows[table]
+        values: Sequence[Sequence[Any]] = list(zip(*rows, strict=True)) if rows else [()] * len(_SCHEMA[table])
+        return {
+            name: np.array(column, dtype=_DTYPES[sql])
+            for (name, sql, _, _), column in zip(_SCHEMA[table], values, strict=True)
+        }
+
+    def write(self, folder: Path, meta: Mapping[str, object]) -> None:
+        """Write all tables and ``run.json`` into a folder, which is made if need be.
+
+        Each file appears whole or not at all (temporary file, then rename) and ``run.json`` comes last: a folder that
+        has it has all tables.
+
+        Args:
+            folder: where to.
+            meta: see ``META``; numbers that are not finite become null.
+
+        Raises:
+            OSError: if the folder can't be written.
+        """
+        import duckdb
+
+        folder.mkdir(parents=True, exist_ok=True)
+        digest = {}
+        with duckdb.connect(config={"threads": 1}) as connection:
+            for table in _SCHEMA:
+                arrays = self.columns(table)
+                digest[table] = _digest(arrays)
+                _write_parquet(connection, table, arrays, folder / f"{table}.parquet")
+        write_json(folder / "run.json", {**meta, "digest": digest})
+
+
+_DTYPES: Mapping[str, Any] = {"DOUBLE": np.float64, "INTEGER": np.int32, "BIGINT": np.int64, "VARCHAR": object}
+
+
+def _write_parquet(
+    connection: duckdb.DuckDBPyConnection, table: str, arrays: dict[str, NDArray[Any]], path: Path
+) -> None:
+    """One table to one file. NaN becomes null; the casts give empty columns of text their type."""
+    temporary = path.with_suffix(".tmp")
+    casts = ", ".join(f"CAST({name} AS {sql}) AS {name}" for name, sql, _, _ in _SCHEMA[table])
+    connection.register("recorded", arrays)
+    connection.execute(
+        f"COPY (SELECT {casts} FROM recorded) TO '{str(temporary).replace(chr(39), chr(39) * 2)}'"
+        " (FORMAT parquet, COMPRESSION zstd)"
+    )
+    connection.unregister("recorded")
+    os.replace(temporary, path)
+
+
+def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """SHA-256 of a table's names and values, in order, without the wall-clock columns."""
+    total = hashlib.sha256()
+    for name, column in arrays.items():
+        if name.startswith("wall_"):
+            continue
+        total.update(f"{name}:{len(column)};".encode())
+        total.update("\0".join(column).encode() if column.dtype == object else column.tobytes())
+    return total.hexdigest()
+
+
+def write_json(path: Path, value: Mapping[str, object]) -> None:
+    """Write a JSON object with sorted keys, whole or not at all. Numbers that are not finite become null.
+
+    Args:
+        path: file to write.
+        value: what to write; numpy values, sets and tuples are understood, other objects become text.
+
+    Raises:
+        OSError: if the file can't be written.
+    """
+    temporary = path.with_suffix(".tmp")
+    temporary.write_text(
+        json.dumps(_finite(value), sort_keys=True, indent=2, ensure_ascii=False, allow_nan=False) + "\n",
+        encoding="utf-8",
+    )
+    os.replace(temporary, path)
+
+
+def _finite(value: object) -> object:
+    """The same value with null for numbers that JSON can't hold."""
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
+    return _finite(_plain(value))
