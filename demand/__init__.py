@@ -1,1 +1,1 @@
-"""Seeded request streams. Knows nothing of the controller."""
+"""Seeded request streams. Knows nothing of the controller but the word `Request`."""

@@ -1,0 +1,97 @@
+"""Requests from a CSV file with the columns time_s, kind, car and, if wanted, zone."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from controller.types import Request, RequestKind
+from demand.types import Demand, Workload
+from parking_sim.errors import InputError
+
+_NEEDED = ("time_s", "kind", "car")
+_COLUMNS = (*_NEEDED, "zone")
+
+#: Names that SUMO takes as vehicle ids.
+_NAME = re.compile(r"[\w.+-]+")
+
+
+class Csv(Workload):
+    """Requests as they stand in a file, for example a gate log."""
+
+    kind: Literal["csv"] = "csv"
+    path: str = Field(min_length=1, description="the file; a relative path counts from the scenario's folder")
+    initial_cars: tuple[str, ...] = Field(default=(), strict=False, description="cars already parked at the start")
+
+    def demand(self, slots: int, seed: int, base_dir: Path) -> Demand:
+        """Requests of this profile, see :meth:`Workload.demand`."""
+        for car in self.initial_cars:
+            if not _NAME.fullmatch(car) or self.initial_cars.count(car) > 1:
+                raise InputError(
+                    f"workload.initial_cars: {car!r}: name each car once, with letters, digits and any of _ . + -"
+                )
+        if len(self.initial_cars) > slots:
+            raise InputError(
+                f"workload.initial_cars: {len(self.initial_cars)} cars: the garage has {slots} slots, give at most so many"
+            )
+        rows = _read(base_dir / self.path)
+        _check_order(rows, set(self.initial_cars), self.path)
+        return Demand(self.initial_cars, (tuple(request for _, request in rows),))
+
+
+def _read(path: Path) -> list[tuple[int, Request]]:
+    """Requests in order of time, each with its row in the file (the header is row 1)."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.reader(file)
+            header = [cell.strip() for cell in next(reader, [])]
+            _check_header(header, path)
+            rows = [(reader.line_num, _request(header, cells, reader.line_num, path)) for cells in reader if any(cells)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = (error.strerror if isinstance(error, OSError) else None) or " ".join(str(error).split())
+        raise InputError(f"workload.path: {path}: can't be read as a CSV file: {reason}") from None
+    return sorted(rows, key=lambda row: row[1].time_s)
+
+
+def _check_header(header: list[str], path: Path) -> None:
+    missing = [name for name in _NEEDED if name not in header]
+    unknown = [name for name in header if name not in _COLUMNS]
+    if missing or unknown or len(set(header)) < len(header):
+        raise InputError(f"{path}: row 1: {','.join(header)!r}: the columns are time_s, kind, car and, if wanted, zone")
+
+
+def _request(header: list[str], cells: list[str], number: int, path: Path) -> Request:
+    where = f"{path}: row {number}"
+    if len(cells) != len(header):
+        raise InputError(f"{where}: {len(cells)} cells: give {len(header)}, as many as the header")
+    row = dict(zip(header, (cell.strip() for cell in cells), strict=True))
+    try:
+        time_s = float(row["time_s"])
+    except ValueError:
+        time_s = math.nan
+    if not 0 <= time_s < math.inf:
+        raise InputError(f"{where}: time_s: {row['time_s']!r}: give seconds from the start, 0 or more")
+    if row["kind"] not in list(RequestKind):
+        raise InputError(f"{where}: kind: {row['kind']!r}: give park or retrieve")
+    if not _NAME.fullmatch(row["car"]):
+        raise InputError(f"{where}: car: {row['car']!r}: give a name of letters, digits and any of _ . + -")
+    return Request(time_s, RequestKind(row["kind"]), row["car"], row.get("zone", ""))
+
+
+def _check_order(rows: list[tuple[int, Request]], inside: set[str], path: str) -> None:
+    """A car is parked before it is retrieved, and not parked again before it is asked for."""
+    for number, request in rows:
+        where = f"{path}: row {number}: car: {request.car!r}"
+        if request.kind is RequestKind.PARK:
+            if request.car in inside:
+                raise InputError(f"{where}: is parked already; retrieve it first")
+            inside.add(request.car)
+        else:
+            if request.car not in inside:
+                raise InputError(f"{where}: never came, or was retrieved before; park it at an earlier time_s")
+            inside.remove(request.car)
