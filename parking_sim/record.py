@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import duckdb
 
     from parking_sim.plants import AgvSample
+    from sumo_nets.graph import Graph
 
 #: Not reached: the value of a time that never came.
 NAN = math.nan
@@ -108,6 +109,17 @@ _SCHEMA: Mapping[str, tuple[tuple[str, str, str, str], ...]] = {
         ("charging_s", "DOUBLE", "s", "charging"),
         ("idle_s", "DOUBLE", "s", "standing without a task"),
         ("energy_wh", "DOUBLE", "Wh", "energy drawn from the battery, without what was charged"),
+    ),
+    "vertices": (
+        ("vertex", "VARCHAR", "", "name of the vertex"),
+        ("x_m", "DOUBLE", "m", "position to the east"),
+        ("y_m", "DOUBLE", "m", "position to the north"),
+        ("roles", "VARCHAR", "", "what it is for (slot, bay, home, charger, refuge), joined by commas; empty: aisle"),
+    ),
+    "edges": (
+        ("tail", "INTEGER", "", "row number in vertices (from 0) where the edge begins"),
+        ("head", "INTEGER", "", "row number in vertices where it ends; two-way lanes have two edges"),
+        ("length_m", "DOUBLE", "m", "driving length"),
     ),
 }
 
@@ -301,6 +313,18 @@ class Recorder:
         self._rows["planning"].append(
             (time_s, agents, status, window_steps, expanded, heap_moves, generated, valid, slot_choice, wall_ms)
         )
+
+    def floor(self, graph: Graph) -> None:
+        """The garage, once per run: with it a record can be drawn and replayed by itself."""
+        roles: list[list[str]] = [[] for _ in graph.names]
+        for role, vertices in graph.roles.items():
+            for v in vertices:
+                roles[v].append(role)
+        self._rows["vertices"] = [
+            (name, float(x), float(y), ",".join(has))
+            for name, (x, y), has in zip(graph.names, graph.xy, roles, strict=True)
+        ]
+        self._rows["edges"] = list(zip(graph.tail.tolist(), graph.head.tolist(), graph.length_m.tolist(), strict=True))
 
     def rows(self, table: str) -> Sequence[tuple[Any, ...]]:
         """The rows of a table so far, in the order of ``COLUMNS[table]``."""

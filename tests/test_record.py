@@ -14,6 +14,7 @@ import pytest
 from controller.types import AgvMode
 from parking_sim.plants import AgvSample
 from parking_sim.record import COLUMNS, META, NAN, AgvRow, Recorder, TaskRow, write_json
+from sumo_nets.graph import make_graph
 
 
 def filled(wall_ms: float = 1.5) -> Recorder:
@@ -27,6 +28,14 @@ def filled(wall_ms: float = 1.5) -> Recorder:
     recorder.sample(0.0, two, [AgvMode.IDLE, AgvMode.GOING_TO_PARK], ["", "c1"], [1.0, 0.5])
     recorder.timeline(0.0, 1, 0, 0, 1, 1)
     recorder.planning(0.0, 2, "solved", 64, 10, 40, 20, 9, wall_ms)
+    recorder.floor(
+        make_graph(
+            "tiny",
+            [("a", 0.0, 0.0), ("b", 5.0, 0.0)],
+            [("ab", "a", "b", 5.0), ("ba", "b", "a", 5.0)],
+            {"bay": ["a"], "home": ["a"]},
+        )
+    )
     recorder.agv(AgvRow(0, moves=3, distance_m=7.5, idle_s=60.0))
     return recorder
 
@@ -69,6 +78,12 @@ def test_column_dictionary_matches_the_files(recorder: Recorder, tmp_path: Path)
             assert meaning
             assert unit or not name.endswith(("_s", "_m", "_deg", "_mps", "_ms", "_wh")), name
     assert types["events"] == ["DOUBLE", "VARCHAR", "INTEGER", "VARCHAR", "VARCHAR", "VARCHAR"]
+
+
+def test_the_floor_is_in_the_record() -> None:
+    recorder = filled()
+    assert recorder.rows("vertices") == [("a", 0.0, 0.0, "bay,home"), ("b", 5.0, 0.0, "")]
+    assert recorder.rows("edges") == [(0, 1, 5.0), (1, 0, 5.0)]
 
 
 def test_rows_have_the_fields_of_their_table() -> None:
