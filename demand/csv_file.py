@@ -37,7 +37,7 @@ class Csv(Workload):
                 )
         if len(self.initial_cars) > slots:
             raise InputError(
-                f"workload.initial_cars: {len(self.initial_cars)} cars: the garage has {slots} slots, give at most so many"
+                f"workload.initial_cars: {len(self.initial_cars)} cars: give at most {slots}, the garage's slots"
             )
         rows = _read(base_dir / self.path)
         _check_order(rows, set(self.initial_cars), self.path)

@@ -20,7 +20,7 @@ class Zones(OpenTraffic):
     kind: Literal["zones"] = "zones"
     zones: dict[str, Weight] = Field(
         min_length=1,
-        description="name prefix of a zone's slots -> weight with which arriving cars prefer it; '' stands for any slot",
+        description="name prefix of a zone's slots -> weight with which arriving cars prefer it; '' is any slot",
     )
 
     def demand(self, slots: int, seed: int, base_dir: Path) -> Demand:

@@ -1,0 +1,260 @@
+"""Scenario files: what a run needs to know, checked before anything heavy starts."""
+
+from __future__ import annotations
+
+import difflib
+import typing
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic_core import ErrorDetails
+
+from demand.park_exit import ParkExit
+from demand.workloads import WORKLOADS, WorkloadConfig
+from parking_sim.errors import InputError
+
+#: AGVs of a shipped garage when nothing else is said.
+DEFAULT_AGVS = {"map1": 4, "map2": 4, "map3": 8, "map1_thesis": 4, "map2_thesis": 4, "map3_thesis": 8}
+
+
+class _Options(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class ControlConfig(_Options):
+    """The controller's clock, window and limits. Defaults are the thesis's where it gives a value."""
+
+    period_s: float = Field(default=5.0, gt=0, description="replanning period, seconds")
+    window_cells: int = Field(default=5, ge=1, description="planning window at the start, moves over an aisle cell")
+    window_min: int = Field(default=5, ge=1, description="least window, moves")
+    window_max: int = Field(default=11, ge=1, description="greatest window, moves")
+    window_step: int = Field(default=2, ge=1, description="change of the window at a time, moves")
+    score_keep: float = Field(
+        default=0.6,
+        ge=0,
+        lt=1,
+        description="share of the congestion score kept; score = floor(keep * old) + wait edges + scc_weight * SCCs",
+    )
+    score_scc: int = Field(default=5, ge=0, description="weight of a strongly connected component in the score")
+    score_up: int = Field(default=24, ge=0, description="the window grows when the score is above this")
+    score_down: int = Field(default=10, ge=0, description="the window shrinks when the score is below this")
+    stuck_s: float = Field(default=25.0, gt=0, description="seconds without progress after which an AGV is stuck")
+    cbs_group: int = Field(default=5, ge=2, description="partial CBS: AGVs in a group at most")
+    cbs_expansions: int = Field(default=64, ge=1, description="partial CBS: expansions of the constraint tree at most")
+    cbs_nodes: int = Field(default=128, ge=1, description="partial CBS: nodes of the constraint tree at most")
+    cbs_constraints: int = Field(default=64, ge=1, description="partial CBS: constraints of a node at most")
+    cbs_wait_edges: int = Field(default=64, ge=1, description="edges of the wait-for graph looked at, at most")
+    cbs_wait_cost: float = Field(default=0.5, ge=0, description="partial CBS: cost of a wait, in moves")
+    cbs_rest_cost: float = Field(
+        default=0.1, ge=0, description="partial CBS: cost of each cell still to go at the window's end, in moves"
+    )
+
+    @model_validator(mode="after")
+    def _window_in_range(self) -> Self:
+        if not self.window_min <= self.window_cells <= self.window_max:
+            raise ValueError("give window_min <= window_cells <= window_max")
+        if self.score_down > self.score_up:
+            raise ValueError("give score_down <= score_up")
+        return self
+
+
+class AgvConfig(_Options):
+    """One type of AGV, all alike. Defaults follow the parking robots on the market."""
+
+    speed_empty_mps: float = Field(default=1.5, gt=0, le=20, description="top speed without a car, m/s")
+    speed_loaded_mps: float = Field(default=1.0, gt=0, le=20, description="top speed with a car, m/s")
+    accel_empty_mps2: float = Field(default=0.5, gt=0, le=10, description="acceleration without a car, m/s2")
+    accel_loaded_mps2: float = Field(default=0.3, gt=0, le=10, description="acceleration with a car, m/s2")
+    decel_mps2: float = Field(default=0.8, gt=0, le=10, description="braking, m/s2")
+    turn_empty_deg_s: float = Field(default=30.0, gt=0, description="turning in place without a car, degrees/s")
+    turn_loaded_deg_s: float = Field(default=20.0, gt=0, description="turning in place with a car, degrees/s")
+    lift_s: float = Field(default=20.0, ge=0, description="lifting a car, seconds")
+    lower_s: float = Field(default=15.0, ge=0, description="lowering a car, seconds")
+    length_m: float = Field(default=5.0, gt=0, le=20, description="length of the AGV with its car, metres")
+    width_m: float = Field(default=2.0, gt=0, le=5, description="width of the AGV with its car, metres")
+    battery_wh: float = Field(default=8000.0, gt=0, description="battery capacity, Wh")
+    drive_w: float = Field(default=1000.0, ge=0, description="power drawn while driving, W; the default drives 8 h")
+    idle_w: float = Field(default=50.0, ge=0, description="power drawn while standing, W")
+    charge_w: float = Field(default=10000.0, gt=0, description="charging power, W")
+    soc_start: float = Field(default=0.9, gt=0, le=1, description="state of charge at the start, 0 to 1")
+    charge_below: float = Field(default=0.3, ge=0, lt=1, description="state of charge that sends it to charge, 0 to 1")
+    charge_to: float = Field(default=0.9, gt=0, le=1, description="state of charge at which charging ends, 0 to 1")
+
+    @model_validator(mode="after")
+    def _charging_in_order(self) -> Self:
+        if self.charge_below >= self.charge_to:
+            raise ValueError("give charge_below < charge_to")
+        return self
+
+
+class CustomerConfig(_Options):
+    """Customers and their cars."""
+
+    handling_median_s: float = Field(
+        default=60.0, gt=0, description="median time a customer takes at the bay to get in or out, seconds"
+    )
+    handling_sigma: float = Field(
+        default=0.5, ge=0, le=3, description="sigma of the lognormal handling time; 0: always the median"
+    )
+    length_m: float = Field(default=4.5, gt=0, le=6, description="length of a car in the street, metres")
+    street_speed_mps: float = Field(default=5.0, gt=0, le=30, description="speed in the street, m/s")
+
+
+class RecordConfig(_Options):
+    """What is written down besides events, tasks and metrics."""
+
+    sample_s: float = Field(default=2.0, gt=0, description="interval of the AGVs' sampled trajectory, seconds")
+    grants: bool = Field(default=False, description="write one event for each vertex granted to an AGV")
+    fcd: bool = Field(default=False, description="write SUMO's floating car data: every vehicle in every step")
+
+
+class Scenario(_Options):
+    """One run: a garage, its AGVs, the controller and the customers."""
+
+    garage: str = Field(
+        min_length=1,
+        description="a shipped garage's name, or a net file; a relative path counts from this file's folder",
+    )
+    agvs: int = Field(ge=1, description="number of AGVs")
+    plant: Literal["sumo", "discrete"] = Field(
+        default="sumo", description="what moves the AGVs: SUMO, or ticks of one cell without SUMO"
+    )
+    rules: str = Field(default="fair", min_length=1, description="rule set of the discrete plant")
+    planner: str = Field(
+        default="whca", min_length=1, description="a planner's name, or `file.py:function` for one of your own"
+    )
+    planner_options: dict[str, bool | int | float | str] = Field(
+        default_factory=dict, description="options passed to the planner by name"
+    )
+    dispatch: str = Field(default="nearest", min_length=1, description="rule that assigns AGVs and slots to requests")
+    seed: int = Field(default=0, ge=0, lt=2**31, description="seed of every random stream of the run")
+    workload: WorkloadConfig = Field(default_factory=ParkExit, description="what the customers want")
+    duration_s: float | None = Field(
+        default=None, gt=0, description="end of the run in simulated seconds; default: when every request is finished"
+    )
+    max_time_s: float = Field(
+        default=2_592_000.0, gt=0, description="simulated seconds after which a run without an end is given up"
+    )
+    step_s: float = Field(default=0.5, gt=0, le=1, description="SUMO's step, seconds")
+    control: ControlConfig = Field(default_factory=ControlConfig, description="clock, window and limits")
+    agv: AgvConfig = Field(default_factory=AgvConfig, description="the AGVs' speeds, size and battery")
+    customers: CustomerConfig = Field(default_factory=CustomerConfig, description="the customers and their cars")
+    record: RecordConfig = Field(default_factory=RecordConfig, description="what is written down")
+
+    _base_dir: Path = PrivateAttr(default=Path())
+
+    @property
+    def base_dir(self) -> Path:
+        """Folder from which relative paths in the scenario count: that of its file, or the working directory."""
+        return self._base_dir
+
+
+def load_scenario(source: str | Path, overrides: Mapping[str, object] | None = None) -> Scenario:
+    """Read a scenario.
+
+    Args:
+        source: a YAML file, or the name of a shipped garage for its default: every car parked, then brought back.
+        overrides: values for keys at the top level that go before the file's.
+
+    Returns:
+        The scenario. Whether its garage, planner and rules exist is checked when they are looked up.
+
+    Raises:
+        InputError: no such file or garage, bad YAML, or a value that isn't valid.
+    """
+    overrides = overrides or {}
+    if str(source) in DEFAULT_AGVS:
+        name = str(source)
+        return _validate({"garage": name, "agvs": DEFAULT_AGVS[name]}, overrides, name, Path())
+    path = Path(source)
+    if path.suffix not in (".yaml", ".yml"):
+        raise InputError(f"{source}: not a shipped garage ({', '.join(DEFAULT_AGVS)}) nor a scenario file (.yaml)")
+    return _validate(_read_yaml(path), overrides, str(path), path.parent)
+
+
+def _read_yaml(path: Path) -> dict[str, object]:
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f"line {mark.line + 1}: " if mark else ""
+        raise InputError(f"{path}: {line}not YAML: {error.problem or error.context}") from None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = (error.strerror if isinstance(error, OSError) else None) or " ".join(str(error).split())
+        raise InputError(f"{path}: can't be read: {reason}") from None
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: {_shown(data)}: give a mapping of keys to values, such as garage: map1")
+    return data
+
+
+def _validate(data: dict[str, object], overrides: Mapping[str, object], source: str, base_dir: Path) -> Scenario:
+    try:
+        scenario = Scenario.model_validate({**data, **overrides})
+    except ValidationError as error:
+        errors = error.errors(include_url=False)
+        first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
+        if first["loc"] and first["loc"][0] in overrides:
+            source = "command line"
+        raise InputError(f"{source}: {_one_line(first)}") from None
+    scenario._base_dir = base_dir
+    return scenario
+
+
+def _one_line(error: ErrorDetails) -> str:
+    """Field, value, and what would be valid."""
+    field, model = _locate(error["loc"])
+    kind, context = error["type"], error.get("ctx", {})
+    if kind == "extra_forbidden":
+        known = sorted(model.model_fields) if model else []
+        close = difflib.get_close_matches(str(error["loc"][-1]), known, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"valid keys are {', '.join(known)}"
+        return f"{field}: unknown key; {hint}"
+    if kind == "missing":
+        wanted = model.model_fields[str(error["loc"][-1])].description if model else ""
+        return f"{field}: missing; give the {wanted}"
+    if kind == "union_tag_not_found":
+        return f"{field}.kind: missing; give one of {', '.join(WORKLOADS)}"
+    if kind in ("model_type", "model_attributes_type", "dict_type"):
+        return f"{field}: {_shown(error['input'])}: give a mapping of keys to values"
+    if kind == "too_short":
+        return f"{field}: {_shown(error['input'])}: give at least {context['min_length']}"
+    if kind == "union_tag_invalid":
+        return f"{field}.kind: {_shown(context.get('tag'))}: give one of {', '.join(WORKLOADS)}"
+    if kind == "literal_error":
+        return f"{field}: {_shown(error['input'])}: give {context['expected']}"
+    message = error["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    if kind == "value_error":
+        return f"{field}: {message}"
+    return f"{field}: {_shown(error['input'])}: must be {message}"
+
+
+def _shown(value: object) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _locate(loc: tuple[int | str, ...]) -> tuple[str, type[BaseModel] | None]:
+    """The field's path as a file writes it, and the model that the last key belongs to."""
+    path, model, inner = "", None, list[type[BaseModel]]([Scenario])
+    for part in loc:
+        tagged = [m for m in inner if len(inner) > 1 and m.model_fields["kind"].default == part]
+        if tagged:
+            inner = tagged
+        elif isinstance(part, int):
+            path += f"[{part}]"
+        else:
+            path += f".{part}" if path else part
+            model = inner[0] if len(inner) == 1 else None
+            field = model.model_fields.get(part) if model else None
+            inner = list(_models_in(field.annotation)) if field else []
+    return path, model
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in typing.get_args(annotation):
+        yield from _models_in(argument)
