@@ -1,0 +1,133 @@
+"""Records as pandas tables. Columns are those of ``parking_sim.record.COLUMNS``; pandas is loaded on first use."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from parking_sim.record import COLUMNS, Recorder
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["COLUMNS", "Run", "load_run", "recorded_run"]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: what was asked (``meta``) and its tables, each read when first looked at.
+
+    Attributes:
+        name: name of the run: its folder's name.
+        meta: content of ``run.json``, keys as in ``parking_sim.record.META``.
+        read: gives a table by name.
+    """
+
+    name: str
+    meta: Mapping[str, Any]
+    read: Callable[[str], pd.DataFrame] = field(repr=False, compare=False)
+
+    @cached_property
+    def events(self) -> pd.DataFrame:
+        """One row per event."""
+        return self.read("events")
+
+    @cached_property
+    def tasks(self) -> pd.DataFrame:
+        """One row per request."""
+        return self.read("tasks")
+
+    @cached_property
+    def trajectory(self) -> pd.DataFrame:
+        """One row per AGV and sample."""
+        return self.read("trajectory")
+
+    @cached_property
+    def timeline(self) -> pd.DataFrame:
+        """One row per sampled moment."""
+        return self.read("timeline")
+
+    @cached_property
+    def planning(self) -> pd.DataFrame:
+        """One row per planning call."""
+        return self.read("planning")
+
+    @cached_property
+    def agvs(self) -> pd.DataFrame:
+        """One row per AGV."""
+        return self.read("agvs")
+
+    @cached_property
+    def vertices(self) -> pd.DataFrame:
+        """One row per vertex of the garage; empty if the floor was not recorded."""
+        return self.read("vertices")
+
+    @cached_property
+    def edges(self) -> pd.DataFrame:
+        """One row per directed edge of the garage."""
+        return self.read("edges")
+
+    def details(self, kind: str) -> pd.DataFrame:
+        """The events of one kind, with the keys of their detail as columns instead of ``detail``.
+
+        Args:
+            kind: one of ``parking_sim.record.KINDS``.
+
+        Returns:
+            Rows in the order of the record; without rows only the fixed columns are there.
+        """
+        import pandas as pd
+
+        chosen = self.events[self.events["kind"] == kind].reset_index(drop=True)
+        parsed = [json.loads(text) if text else {} for text in chosen["detail"]]
+        return pd.concat([chosen.drop(columns="detail"), pd.DataFrame(parsed, index=chosen.index)], axis=1)
+
+
+def load_run(folder: Path) -> Run:
+    """Open the record of one run.
+
+    Args:
+        folder: what ``Recorder.write`` wrote.
+
+    Returns:
+        The run; tables are read when they are first used.
+
+    Raises:
+        FileNotFoundError: if there is no complete record in the folder.
+    """
+    path = folder / "run.json"
+    if not path.is_file():
+        raise FileNotFoundError(f"no record of a run in {folder} (run.json is missing)")
+    meta = json.loads(path.read_text(encoding="utf-8"))
+    return Run(folder.resolve().name, meta, partial(_read_parquet, folder))
+
+
+def recorded_run(recorder: Recorder, meta: Mapping[str, Any], name: str = "run") -> Run:
+    """The same view of a record that has not been written.
+
+    Args:
+        recorder: rows so far.
+        meta: what would go into ``run.json``.
+        name: name of the run.
+
+    Returns:
+        The run.
+    """
+    import pandas as pd
+
+    return Run(name, meta, lambda table: pd.DataFrame(recorder.columns(table)))
+
+
+def _read_parquet(folder: Path, table: str) -> pd.DataFrame:
+    """One table of one folder, rows in the order of the file."""
+    import duckdb
+
+    with duckdb.connect(config={"threads": 1}) as connection:
+        frame: pd.DataFrame = connection.execute(
+            "SELECT * FROM read_parquet(?)", [str(folder / f"{table}.parquet")]
+        ).df()
+    return frame
