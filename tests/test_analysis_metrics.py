@@ -1,0 +1,179 @@
+"""Metrics against numbers worked out by hand."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+from test_analysis_runs import synthetic_meta, synthetic_recorder
+
+from analysis.metrics import METRICS, run_metrics, share_within, write_metrics
+from analysis.tables import recorded_run
+from parking_sim.record import AgvRow, Recorder, TaskRow
+
+META = {
+    "simulated_s": 1000.0,
+    "step_s": 0.5,
+    "tasks_wanted": 7,
+    "cars_initial": 3,
+    "cars_arrived": 2,
+    "cars_parked": 1,
+    "cars_left": 3,
+    "cars_in_transit": 1,
+    "least_clearance_m": 0.4,
+    "sumo_collisions": 0,
+    "footprint_overlaps": 2,
+    "wall_s": {"total": 4.0},
+}
+
+
+def by_hand() -> Recorder:
+    recorder = Recorder()
+    for request in range(8):
+        recorder.event(0.0, "request_made", request=request)
+    # two parks: queue 10 and 30, wait 70 and 90, total 200 and 300
+    recorder.task(TaskRow(0, "park", "a", "served", "", 0, "bay", "s1", 0, 10, 60, 60, 80, 200, 200))
+    recorder.task(TaskRow(1, "park", "b", "served", "", 1, "bay", "s2", 100, 130, 190, 190, 220, 400, 400))
+    # retrievals: waits 100, 200, 400; one more delivered but not driven off: 300
+    for request, wait in ((2, 100.0), (3, 200.0), (4, 400.0)):
+        row = TaskRow(
+            request, "retrieve", "c", "served", "", 0, "s1", "bay", 0.0, math.nan, 0.0, 1.0, 2.0, wait, wait + 50
+        )
+        recorder.task(row)
+    recorder.task(TaskRow(5, "retrieve", "d", "waiting", "customer at the bay", requested_s=600.0, delivered_s=900.0))
+    # still waiting for 250 s (over 180, not over 300), and refused
+    recorder.task(TaskRow(6, "retrieve", "e", "waiting", "no AGV yet", requested_s=750.0))
+    recorder.task(TaskRow(7, "retrieve", "zz", "refused", "unknown car", requested_s=5.0))
+    for time_s, queue, spilled in ((0.0, 0, 0), (100.0, 4, 1), (300.0, 1, 0), (960.0, 9, 3)):
+        recorder.timeline(time_s, queue, spilled, 5, 0, 1)
+    for time_s, wall_ms, status in ((0.0, 1.0, "solved"), (0.0, 2.0, "partial"), (0.5, 6.0, "solved")):
+        recorder.planning(time_s, 2, status, 64, 10, 100, 40, 8, wall_ms, slot_choice=5)
+    for k, cost in enumerate((2.0, 6.0)):
+        recorder.event(10.0, "deadlock_found", deadlock=k, members=[0, 1], cause="head-on")
+        recorder.event(
+            10.0 + cost, "deadlock_resolved", deadlock=k, members=[0, 1], cause="head-on", stage="leader", cost_s=cost
+        )
+    recorder.event(99.0, "deadlock_found", deadlock=2, members=[0, 1], cause="head-on")
+    recorder.agv(AgvRow(0, 30, 150.0, 3, 100, 200, 50, 50, 50, 150, 100, 300, 80.0))
+    recorder.agv(AgvRow(1, 10, 50.0, 2, 200, 0, 0, 0, 0, 0, 0, 790, 20.0))
+    return recorder
+
+
+EXPECTED = {
+    "simulated_s": 1000.0,
+    "tasks_wanted": 7,
+    "tasks_done": 5,
+    "requests": 8,
+    "requests_waiting": 2,
+    "requests_refused": 1,
+    "requests_conserved": 1,
+    "cars_conserved": 1,
+    "parks_done": 2,
+    "retrievals_done": 3,
+    "cars_in_per_hour": 7.2,
+    "cars_out_per_hour": 10.8,
+    "retrieval_wait_mean_s": 250.0,
+    "retrieval_wait_p50_s": 250.0,
+    "retrieval_wait_p90_s": 370.0,
+    "retrieval_wait_p95_s": 385.0,
+    "retrieval_wait_p99_s": 397.0,
+    "retrieval_wait_max_s": 400.0,
+    "retrieval_total_mean_s": 850 / 3,
+    "retrieval_within_180_s_share": 1 / 5,
+    "retrieval_within_300_s_share": 3 / 4,
+    "park_queue_mean_s": 20.0,
+    "park_wait_p50_s": 80.0,
+    "park_total_max_s": 300.0,
+    "queue_mean": (4 * 200 + 660 + 9 * 40) / 1000,
+    "queue_p95": 4.0,
+    "queue_max": 9,
+    "spill_back_s": 240.0,
+    "spill_back_max": 3,
+    "parked_max": 5,
+    "agv_empty_share": 300 / 1990,
+    "agv_loaded_share": 200 / 1990,
+    "agv_idle_share": 1090 / 1990,
+    "agv_busy_share": 800 / 1990,
+    "empty_travel_share": 0.6,
+    "agv_time_error_s": 10.0,
+    "distance_m": 200.0,
+    "energy_wh": 100.0,
+    "deadlocks_found": 3,
+    "deadlocks_resolved": 2,
+    "deadlocks_unresolved": 1,
+    "deadlock_p50_s": 4.0,
+    "deadlock_max_s": 6.0,
+    "sumo_collisions": 0,
+    "footprint_overlaps": 2,
+    "least_clearance_m": 0.4,
+    "steps": 2000,
+    "throughput": 5 / 2000,
+    "movement_cost": 40,
+    "nodes_expanded": 30,
+    "heap_moves": 300,
+    "nodes_generated": 120,
+    "valid_expansions": 24,
+    "valid_ratio": 0.2,
+    "slot_choice_expanded": 15,
+    "planning_calls": 3,
+    "planning_unsolved_share": 1 / 3,
+    "wall_planning_call_p50_ms": 2.0,
+    "wall_planning_call_max_ms": 6.0,
+    "wall_planning_step_p50_ms": 0.0,
+    "wall_total_s": 4.0,
+    "wall_speed": 250.0,
+}
+
+
+def test_metrics_by_hand() -> None:
+    metrics = run_metrics(recorded_run(by_hand(), META))
+    assert {key: metrics[key] for key in EXPECTED} == pytest.approx(EXPECTED)
+    assert list(metrics) == list(METRICS)
+
+
+def test_planning_time_of_a_step_adds_its_calls() -> None:
+    metrics = run_metrics(recorded_run(by_hand(), {"simulated_s": 1.0, "step_s": 0.5}))
+    assert metrics["wall_planning_step_p50_ms"] == pytest.approx((3.0 + 6.0) / 2)
+
+
+def test_cars_that_vanish_are_noticed() -> None:
+    metrics = run_metrics(recorded_run(by_hand(), {**META, "cars_left": 2}))
+    assert metrics["cars_conserved"] == 0
+
+
+def test_requests_that_vanish_are_noticed() -> None:
+    recorder = by_hand()
+    recorder.event(5.0, "request_made", request=8)
+    assert run_metrics(recorded_run(recorder, META))["requests_conserved"] == 0
+
+
+def test_share_counts_a_locked_garage_as_missed() -> None:
+    recorder = Recorder()
+    for request in range(4):
+        recorder.task(TaskRow(request, "retrieve", "a", "waiting", requested_s=0.0))
+    assert share_within(recorded_run(recorder, {}).tasks, 180.0, 1000.0) == 0.0
+    assert math.isnan(share_within(recorded_run(recorder, {}).tasks, 180.0, 100.0))
+
+
+def test_empty_record_has_all_keys_and_writes_null(tmp_path: Path) -> None:
+    Recorder().write(tmp_path, {})
+    metrics = write_metrics(tmp_path)
+    assert list(metrics) == list(METRICS)
+    written = json.loads((tmp_path / "metrics.json").read_text())
+    assert written["retrieval_wait_p95_s"] is None
+    assert written["tasks_done"] == 0
+    assert list(written) == sorted(METRICS)
+
+
+def test_metrics_of_a_written_run_equal_those_of_its_recorder(tmp_path: Path) -> None:
+    recorder, meta = synthetic_recorder(hours=0.3), synthetic_meta(0.3)
+    recorder.write(tmp_path, meta)
+    assert write_metrics(tmp_path) == pytest.approx(run_metrics(recorded_run(recorder, meta)), nan_ok=True)
+
+
+def test_every_metric_says_its_unit_and_meaning() -> None:
+    for key, (unit, meaning) in METRICS.items():
+        assert meaning, key
+        assert unit or not key.endswith(("_s", "_ms", "_m")), key
