@@ -1,0 +1,1 @@
+"""Search for one agent's path among the reservations of the others."""

@@ -1,0 +1,229 @@
+"""Exact remaining steps to a goal, found only as far as somebody asks: RRA* (Silver 2005, reverse resumable A*).
+
+A state is an edge: "at its head, having come over it", so that turns count. The search runs backwards from the goal and
+is aimed at the first vertex that asked; a later question resumes it where it stopped. Other agents are ignored, blocked
+vertices are not: they may be left, never driven into, unless they are the goal.
+
+Departure from the paper: durations differ per edge, turns cost time, and the estimate is the larger of the Manhattan and
+the Euclidean distance times the fastest pace of any edge (consistent, so a closed state is final).
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes, Space
+from controller.types import FOREVER
+from sumo_nets.graph import FloatArray, IntArray
+
+#: Columns of ``Field.states``: g + 1 (0: not seen yet), f, place in OPEN + 1 (-1: closed), and OPEN itself.
+G, F, PLACE, OPEN = 0, 1, 2, 3
+#: Places of ``Field.meta``.
+SIZE, GOAL, LOADED = 0, 1, 2
+
+
+class Field(NamedTuple):
+    """The search memory of one goal.
+
+    Attributes:
+        states: shape (m, 4), int32; zeroed memory that is not touched costs nothing.
+        meta: number of states in OPEN, the goal, and 1 if loaded.
+        aim: x, y of the vertex it is aimed at, steps per metre by Manhattan and by Euclidean distance.
+    """
+
+    states: IntArray
+    meta: IntArray
+    aim: FloatArray
+
+
+class Distances:
+    """Distance fields by (goal, loaded), the least recently used ones dropped beyond ``max_bytes``.
+
+    Attributes:
+        space: the garage.
+        blocked: shape (n,), where nobody may drive; set by ``update``.
+        counters: search work so far, int64: expanded, heap moves, generated, valid.
+    """
+
+    def __init__(self, space: Space, max_bytes: int = 1 << 29) -> None:
+        self.space = space
+        self.blocked: NDArray[np.uint8] = np.zeros(len(space.leaf), dtype=np.uint8)
+        self.counters: NDArray[np.int64] = np.zeros(4, dtype=np.int64)
+        self._fields: OrderedDict[tuple[int, bool], Field] = OrderedDict()
+        self._cap = max(64, max_bytes // (16 * max(1, len(space.lanes.tail))))
+
+    def update(self, blocked: NDArray[np.uint8]) -> None:
+        """Take over a new set of blocked vertices and drop the fields whose search has come to one that changed.
+
+        A leaf never matters: nobody drives through it, and as a goal it is exempt.
+        """
+        changed = np.flatnonzero((blocked != self.blocked) & ~self.space.leaf)
+        self.blocked[:] = blocked
+        if len(changed) and self._fields:
+            first_in, in_edges = self.space.lanes.first_in, self.space.lanes.in_edges
+            edges = np.concatenate([in_edges[first_in[v] : first_in[v + 1]] for v in changed])
+            for key in [k for k, field in self._fields.items() if field.states[edges, G].any()]:
+                del self._fields[key]
+
+    def field(self, goal: int, loaded: bool, asker: int) -> Field:
+        """The field of a goal, new ones aimed at the vertex ``asker``."""
+        key = (goal, loaded)
+        field = self._fields.get(key)
+        if field is None:
+            field = self._new_field(goal, loaded, asker)
+            self._fields[key] = field
+            if len(self._fields) > self._cap:
+                self._fields.popitem(last=False)
+        else:
+            self._fields.move_to_end(key)
+        return field
+
+    def distance(self, vertex: int, in_edge: int, goal: int, loaded: bool) -> int:
+        """Steps from a vertex to a goal, turns included.
+
+        Args:
+            vertex: where the AGV is.
+            in_edge: edge it came by; -1 if its first move needs no turn.
+            goal: where it wants to go.
+            loaded: it carries a car.
+
+        Returns:
+            Planning steps; ``FOREVER`` if there is no way.
+        """
+        if vertex == goal:
+            return 0
+        field = self.field(goal, loaded, vertex)
+        return int(distance_from(vertex, in_edge, field, self.space.lanes, self.blocked, self.counters))
+
+    def _new_field(self, goal: int, loaded: bool, asker: int) -> Field:
+        s = self.space
+        field = Field(
+            np.zeros((len(s.lanes.tail), 4), dtype=np.int32),
+            np.array([0, goal, loaded], dtype=np.int32),
+            np.array([*s.lanes.xy[asker], *s.rates[int(loaded)]]),
+        )
+        _begin(field, s.lanes, self.counters)
+        return field
+
+
+@njit(cache=True)
+def distance_from(
+    vertex: int, in_edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]
+) -> int:
+    """Remaining steps from a vertex entered over ``in_edge``; -1 for an AGV whose first move needs no turn."""
+    goal = field.meta[GOAL]
+    if vertex == goal:
+        return 0
+    if in_edge >= 0:
+        return settle(in_edge, field, lanes, blocked, counters)
+    best = FOREVER
+    for e in range(lanes.first_out[vertex], lanes.first_out[vertex + 1]):
+        if not blocked[lanes.head[e]] or lanes.head[e] == goal:
+            h = settle(e, field, lanes, blocked, counters)
+            best = min(best, h + lanes.edge_steps[field.meta[LOADED], e])
+    return best
+
+
+@njit(cache=True)
+def settle(edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]) -> int:
+    """Resume the search until ``edge`` is closed; its remaining steps, ``FOREVER`` if OPEN runs empty before."""
+    states, meta = field.states, field.meta
+    goal, loaded = meta[GOAL], meta[LOADED]
+    while states[edge, PLACE] != -1:
+        if meta[SIZE] == 0:
+            return FOREVER
+        out = _pop(states, meta, counters)
+        counters[EXPANDED] += 1
+        counters[VALID] += 1
+        if blocked[lanes.head[out]] and lanes.head[out] != goal:
+            continue
+        v = lanes.tail[out]
+        for i in range(lanes.first_in[v], lanes.first_in[v + 1]):
+            e = lanes.in_edges[i]
+            if states[e, PLACE] == -1:
+                continue
+            turn = lanes.turn_steps[loaded, lanes.first_transition[e] + out - lanes.first_out[v]]
+            g = states[out, G] + lanes.edge_steps[loaded, out] + turn
+            if states[e, G] == 0 or g < states[e, G]:
+                _push(e, g, _estimate(v, field.aim, lanes.xy), states, meta, counters)
+    return int(states[edge, G]) - 1
+
+
+@njit(cache=True)
+def _begin(field: Field, lanes: Lanes, counters: NDArray[np.int64]) -> None:
+    goal = field.meta[GOAL]
+    h = _estimate(goal, field.aim, lanes.xy)
+    for i in range(lanes.first_in[goal], lanes.first_in[goal + 1]):
+        _push(lanes.in_edges[i], 1, h, field.states, field.meta, counters)
+
+
+@njit(cache=True)
+def _estimate(v: int, aim: FloatArray, xy: FloatArray) -> int:
+    dx = abs(xy[v, 0] - aim[0])
+    dy = abs(xy[v, 1] - aim[1])
+    return int(max(aim[2] * (dx + dy), aim[3] * np.sqrt(dx * dx + dy * dy)))
+
+
+@njit(cache=True)
+def _before(a: int, b: int, states: IntArray) -> bool:
+    """Order of OPEN: smaller f, then larger g, then the smaller edge number."""
+    if states[a, F] != states[b, F]:
+        return bool(states[a, F] < states[b, F])
+    if states[a, G] != states[b, G]:
+        return bool(states[a, G] > states[b, G])
+    return a < b
+
+
+@njit(cache=True)
+def _push(e: int, g: int, h: int, states: IntArray, meta: IntArray, counters: NDArray[np.int64]) -> None:
+    """Put an edge on OPEN, or move it up if it is there already."""
+    states[e, G] = g
+    states[e, F] = g + h
+    i = states[e, PLACE] - 1
+    if i < 0:
+        i = meta[SIZE]
+        meta[SIZE] += 1
+        counters[GENERATED] += 1
+        counters[HEAP_MOVES] += 1
+    while i > 0:
+        up = (i - 1) >> 1
+        other = states[up, OPEN]
+        if not _before(e, other, states):
+            break
+        states[i, OPEN] = other
+        states[other, PLACE] = i + 1
+        i = up
+        counters[HEAP_MOVES] += 1
+    states[i, OPEN] = e
+    states[e, PLACE] = i + 1
+
+
+@njit(cache=True)
+def _pop(states: IntArray, meta: IntArray, counters: NDArray[np.int64]) -> int:
+    """Take the first edge from OPEN and close it."""
+    first = states[0, OPEN]
+    meta[SIZE] -= 1
+    size = meta[SIZE]
+    e = states[size, OPEN]
+    i = 0
+    while 2 * i + 1 < size:
+        down = 2 * i + 1
+        if down + 1 < size and _before(states[down + 1, OPEN], states[down, OPEN], states):
+            down += 1
+        other = states[down, OPEN]
+        if not _before(other, e, states):
+            break
+        states[i, OPEN] = other
+        states[other, PLACE] = i + 1
+        i = down
+        counters[HEAP_MOVES] += 1
+    states[i, OPEN] = e
+    states[e, PLACE] = i + 1
+    states[first, PLACE] = -1
+    counters[HEAP_MOVES] += 1
+    return int(first)

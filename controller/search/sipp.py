@@ -1,0 +1,388 @@
+"""One agent's quickest path among reservations: safe-interval path planning in a window.
+
+Phillips and Likhachev 2011 (SIPP): a state is an edge just driven and the safe interval of its head that the agent is
+in; only its earliest arrival matters, since waiting inside a safe interval is free. Silver 2005: reservations from the
+window's end on are ignored, what is left to drive there is judged by the exact distance to the goal (``distances``).
+
+A path ends
+- at the goal, in a safe interval that lasts to the end of the window (for ever without a window), f = t;
+- at a vertex reached at or after the window's end, f = t + h;
+- at a vertex where it can wait until the window's end, f = window + h, dearer where ``no_rest`` holds.
+
+Departures from the papers: turns take time before a departure; with ``following`` False an agent owns both ends of an
+edge while it drives; with ``following`` True a move that would close a ring of agents, each entering the vertex that the
+next one leaves in the same step (a swap is the ring of two), is not allowed.
+Guarantee: the path of least f, or none if there is none. Ties: smaller f, then larger g, then the older state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from controller.search.distances import Distances, Field, distance_from, settle
+from controller.search.reservations import AGENT, END, NEXT, START, ReservationTable
+from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes
+from controller.types import FOREVER, Path, PlanAgent, PlanningProblem
+from sumo_nets.graph import IntArray
+
+#: Columns of ``_Memory.nodes``. EDGE is -1 for the start; SLOT numbers the safe interval of the vertex, which lasts
+#: until LAST; T and LEAVE are the arrival and the departure before it; OLDER is the next node of the same edge; STALE
+#: is 1 once a better node has replaced it; FINAL is 1 where a path may end at arrival.
+EDGE, VERTEX, SLOT, T, LEAVE, LAST, H, FKEY, PARENT, OLDER, STALE, FINAL = range(12)
+
+#: Places of the query that the kernel reads.
+Q_VERTEX, Q_EDGE, Q_READY, Q_GOAL, Q_LOADED, Q_WINDOW, Q_PENALTY, Q_FOLLOWING, Q_LIMIT = range(9)
+
+#: What the kernel answers instead of a node number.
+NONE, FULL, LIMIT = -1, -2, -3
+
+
+class _Memory(NamedTuple):
+    """Search memory, reused without clearing.
+
+    Attributes:
+        nodes: shape (N, 12), see the columns above.
+        open: shape (N,), binary heap of node numbers.
+        newest: shape (m, 2): newest node of each edge, valid if the second column is the current generation.
+        meta: number of nodes, size of OPEN, generation, blocking agent.
+    """
+
+    nodes: IntArray
+    open: IntArray
+    newest: IntArray
+    meta: IntArray
+
+
+NODES, SIZE, GENERATION, BLOCKER = 0, 1, 2, 3
+
+
+class PathSearch:
+    """Finds paths for single agents; holds the search memory.
+
+    Args:
+        distances: the exact distances of the garage, shared with whoever else needs them.
+
+    Attributes:
+        blocker: after a search without a path the agent whose reservation cut off the last possibility, else -1.
+        limited: the last search ended at ``max_expansions``.
+    """
+
+    def __init__(self, distances: Distances) -> None:
+        self.distances = distances
+        self.blocker = -1
+        self.limited = False
+        self._memory = _new_memory(1024, len(distances.space.lanes.tail))
+        self._no_rest: NDArray[np.uint8] = np.zeros(len(distances.blocked), dtype=np.uint8)
+
+    def begin(self, problem: PlanningProblem) -> None:
+        """Take over the blocked and no-rest vertices of a problem; to be called before the searches for it."""
+        self.distances.update(problem.blocked)
+        self._no_rest[:] = problem.no_rest
+
+    def find_path(
+        self,
+        problem: PlanningProblem,
+        agent: PlanAgent,
+        table: ReservationTable,
+        *,
+        forbidden: Collection[tuple[int, int]] = (),
+        max_expansions: int = FOREVER,
+    ) -> Path | None:
+        """The agent's quickest way towards its goal.
+
+        Args:
+            problem: window, resting rules and motion; ``begin`` must have been called with it.
+            agent: who is looked for; its own reservations must not be in the table.
+            table: the reservations to keep clear of.
+            forbidden: (edge, step): the edge may not be arrived by at that step.
+            max_expansions: give up after that many.
+
+        Returns:
+            The path, or None (then see ``blocker`` and ``limited``).
+        """
+        return self._search(problem, agent, table, agent.goal, forbidden, max_expansions)
+
+    def find_refuge(self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable) -> Path | None:
+        """The agent's quickest way to any vertex where it is in nobody's way to the end of the window.
+
+        Vertices with ``no_rest`` are not taken. Arguments and result as for ``find_path``; the goal is ignored.
+        """
+        return self._search(problem, agent, table, -1, (), FOREVER)
+
+    def _search(
+        self,
+        problem: PlanningProblem,
+        agent: PlanAgent,
+        table: ReservationTable,
+        goal: int,
+        forbidden: Collection[tuple[int, int]],
+        max_expansions: int,
+    ) -> Path | None:
+        window = min(problem.window_steps, FOREVER)
+        query = np.array(
+            (agent.vertex, agent.in_edge, agent.ready_step, goal, agent.loaded, window, window // 4,
+             problem.motion.following, min(max_expansions, FOREVER)),
+            dtype=np.int32,
+        )  # fmt: skip
+        d = self.distances
+        field = d.field(agent.goal, agent.loaded, agent.vertex)
+        bans = np.array(sorted(forbidden), dtype=np.int32).reshape(-1, 2)
+        while True:
+            last = _sipp(
+                query, table.rows, table.count, bans, field, d.space.lanes, d.blocked, self._no_rest,
+                self._memory, d.counters,
+            )  # fmt: skip
+            if last != FULL:
+                break
+            self._memory = _new_memory(2 * len(self._memory.nodes), len(self._memory.newest))
+        self.limited = last == LIMIT
+        self.blocker = int(self._memory.meta[BLOCKER]) if last < 0 else -1
+        return self._path(last, agent, window) if last >= 0 else None
+
+    def _path(self, last: int, agent: PlanAgent, window: int) -> Path:
+        vertices, arrive, leave = _trace(last, self._memory.nodes).tolist()
+        until = window
+        if until < FOREVER:
+            until = max(until, arrive[-1] + (agent.dwell_steps if vertices[-1] == agent.goal else 0))
+        arrive[0] = 0
+        return Path(agent.agv, tuple(vertices), tuple(arrive), tuple(leave[1:]), until)
+
+
+def _new_memory(nodes: int, edges: int) -> _Memory:
+    return _Memory(
+        np.zeros((nodes, 12), dtype=np.int32),
+        np.zeros(nodes, dtype=np.int32),
+        np.zeros((edges, 2), dtype=np.int32),
+        np.zeros(4, dtype=np.int32),
+    )
+
+
+@njit(cache=True)
+def _sipp(
+    query: IntArray, rows: IntArray, count: IntArray, bans: IntArray, field: Field, lanes: Lanes,
+    blocked: NDArray[np.uint8], no_rest: NDArray[np.uint8], memory: _Memory, counters: NDArray[np.int64],
+) -> int:  # fmt: skip
+    """Number of the node at which the best path ends, or NONE, FULL or LIMIT."""
+    nodes, meta = memory.nodes, memory.meta
+    start, goal, window = query[Q_VERTEX], query[Q_GOAL], query[Q_WINDOW]
+    loaded = query[Q_LOADED]
+    meta[NODES] = 0
+    meta[SIZE] = 0
+    meta[GENERATION] += 1
+    meta[BLOCKER] = -1
+    latest = -1  # end of the safe interval whose owner is held responsible if nothing is found
+    wait_f, wait_node = FOREVER, NONE  # the best path that ends by waiting for the window's end
+    if count[start] > 0 and rows[start, 0, START] <= 0:
+        meta[BLOCKER] = rows[start, 0, AGENT]
+        return NONE
+    h = 0
+    if goal >= 0:
+        h = distance_from(start, query[Q_EDGE], field, lanes, blocked, counters)
+    _generate(-1, start, 0, query[Q_READY], 0, _safe_until(rows, count, start, 0, window), h, -1, query,
+              no_rest, memory, counters)  # fmt: skip
+    expanded = 0
+    while meta[SIZE] > 0:
+        n = memory.open[0]
+        if wait_node >= 0 and wait_f <= nodes[n, FKEY]:
+            break
+        _pop(memory, counters)
+        counters[EXPANDED] += 1
+        if nodes[n, STALE]:
+            continue
+        counters[VALID] += 1
+        if nodes[n, FINAL]:
+            return int(n)
+        expanded += 1
+        if expanded > query[Q_LIMIT]:
+            return LIMIT
+        v, t, last = nodes[n, VERTEX], nodes[n, T], nodes[n, LAST]
+        if last >= FOREVER and window < FOREVER and goal >= 0:
+            f = max(t, window) + nodes[n, H]
+            if no_rest[v] and v != goal and v != start:
+                f += query[Q_PENALTY]
+            if f < wait_f:
+                wait_f, wait_node = f, n
+        elif last < FOREVER and last > latest:
+            latest = last
+            meta[BLOCKER] = rows[v, nodes[n, SLOT], AGENT]
+        into = query[Q_EDGE] if nodes[n, EDGE] < 0 else nodes[n, EDGE]
+        for e in range(lanes.first_out[v], lanes.first_out[v + 1]):
+            w = lanes.head[e]
+            if blocked[w] and w != goal and w != start:
+                continue
+            depart = t
+            if into >= 0:
+                depart += lanes.turn_steps[loaded, lanes.first_transition[into] + e - lanes.first_out[v]]
+            steps = lanes.edge_steps[loaded, e]
+            if depart + steps > last:
+                continue
+            h = 0
+            if goal >= 0:
+                h = settle(e, field, lanes, blocked, counters)
+                if h >= FOREVER:
+                    continue
+            for k in range(count[w] + 1):
+                begin = rows[w, k - 1, END] if k > 0 else 0
+                end = _safe_until(rows, count, w, k, window)
+                a = max(depart + steps, begin) if query[Q_FOLLOWING] else max(depart, begin) + steps
+                a = _after_bans(bans, e, a)
+                if a > last:
+                    break
+                entered = a if query[Q_FOLLOWING] else a - steps
+                if entered >= window:
+                    if goal >= 0 and a + h < wait_f:
+                        wait_f, wait_node = a + h, n
+                    break
+                if a >= end:
+                    continue
+                if query[Q_FOLLOWING] and a == last and a == begin and _closes_ring(rows, count, v, w, a):
+                    continue
+                if meta[NODES] == nodes.shape[0]:
+                    return FULL
+                _generate(e, w, k, a, a - steps, end, h, n, query, no_rest, memory, counters)
+                if end >= FOREVER:
+                    break
+    return wait_node
+
+
+@njit(cache=True)
+def _generate(
+    edge: int, vertex: int, slot: int, t: int, leave: int, last: int, h: int, parent: int, query: IntArray,
+    no_rest: NDArray[np.uint8], memory: _Memory, counters: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Put a state on OPEN unless it has been reached as early; an older node of the same state becomes stale."""
+    nodes, newest, meta = memory.nodes, memory.newest, memory.meta
+    older = -1
+    if edge >= 0 and newest[edge, 1] == meta[GENERATION]:
+        older = newest[edge, 0]
+    other = older
+    while other >= 0:
+        if nodes[other, SLOT] == slot and not nodes[other, STALE]:
+            if nodes[other, T] <= t:
+                return
+            nodes[other, STALE] = 1
+        other = nodes[other, OLDER]
+    n = meta[NODES]
+    meta[NODES] += 1
+    if edge >= 0:
+        newest[edge, 0] = n
+        newest[edge, 1] = meta[GENERATION]
+    nodes[n, EDGE] = edge
+    nodes[n, VERTEX] = vertex
+    nodes[n, SLOT] = slot
+    nodes[n, T] = t
+    nodes[n, LEAVE] = leave
+    nodes[n, LAST] = last
+    nodes[n, H] = h
+    nodes[n, FKEY] = t + h
+    nodes[n, PARENT] = parent
+    nodes[n, OLDER] = older
+    nodes[n, STALE] = 0
+    if query[Q_GOAL] < 0:
+        nodes[n, FINAL] = last >= FOREVER and not no_rest[vertex]
+    else:
+        nodes[n, FINAL] = last >= FOREVER and (vertex == query[Q_GOAL] or t >= query[Q_WINDOW])
+    counters[GENERATED] += 1
+    _push(n, memory, counters)
+
+
+@njit(cache=True)
+def _safe_until(rows: IntArray, count: IntArray, v: int, k: int, window: int) -> int:
+    """End of the k-th safe interval of a vertex, FOREVER if only the window's end cuts it."""
+    if k == count[v] or rows[v, k, START] >= window:
+        return FOREVER
+    return int(rows[v, k, START])
+
+
+@njit(cache=True)
+def _after_bans(bans: IntArray, edge: int, step: int) -> int:
+    """First step from ``step`` on at which the edge may be arrived by; ``bans`` is sorted by edge and step."""
+    for i in range(bans.shape[0]):
+        if bans[i, 0] == edge and bans[i, 1] == step:
+            step += 1
+    return step
+
+
+@njit(cache=True)
+def _closes_ring(rows: IntArray, count: IntArray, v: int, w: int, step: int) -> bool:
+    """Whether whoever leaves ``w`` at this step makes room, through others or not, for one who enters ``v`` then."""
+    for _ in range(rows.shape[0]):
+        after = -1
+        for k in range(count[w]):
+            if rows[w, k, END] == step:
+                after = rows[w, k, NEXT]
+        if after < 0:
+            return False
+        if after == v:
+            return True
+        w = after
+    return False
+
+
+@njit(cache=True)
+def _trace(last: int, nodes: IntArray) -> IntArray:
+    """Rows vertices, arrivals and the departures before them, from the start to node ``last``."""
+    length = 0
+    n = last
+    while n >= 0:
+        length += 1
+        n = nodes[n, PARENT]
+    out = np.empty((3, length), dtype=np.int32)
+    n = last
+    for i in range(length - 1, -1, -1):
+        out[0, i] = nodes[n, VERTEX]
+        out[1, i] = nodes[n, T]
+        out[2, i] = nodes[n, LEAVE]
+        n = nodes[n, PARENT]
+    return out
+
+
+@njit(cache=True)
+def _before(a: int, b: int, nodes: IntArray) -> bool:
+    """Order of OPEN: smaller f, then larger g, then the older node."""
+    if nodes[a, FKEY] != nodes[b, FKEY]:
+        return bool(nodes[a, FKEY] < nodes[b, FKEY])
+    if nodes[a, T] != nodes[b, T]:
+        return bool(nodes[a, T] > nodes[b, T])
+    return a < b
+
+
+@njit(cache=True)
+def _push(n: int, memory: _Memory, counters: NDArray[np.int64]) -> None:
+    OPEN, nodes = memory.open, memory.nodes
+    i = memory.meta[SIZE]
+    memory.meta[SIZE] += 1
+    counters[HEAP_MOVES] += 1
+    while i > 0:
+        up = (i - 1) >> 1
+        if not _before(n, OPEN[up], nodes):
+            break
+        OPEN[i] = OPEN[up]
+        i = up
+        counters[HEAP_MOVES] += 1
+    OPEN[i] = n
+
+
+@njit(cache=True)
+def _pop(memory: _Memory, counters: NDArray[np.int64]) -> None:
+    OPEN, nodes = memory.open, memory.nodes
+    memory.meta[SIZE] -= 1
+    size = memory.meta[SIZE]
+    n = OPEN[size]
+    i = 0
+    while 2 * i + 1 < size:
+        down = 2 * i + 1
+        if down + 1 < size and _before(OPEN[down + 1], OPEN[down], nodes):
+            down += 1
+        if not _before(OPEN[down], n, nodes):
+            break
+        OPEN[i] = OPEN[down]
+        i = down
+        counters[HEAP_MOVES] += 1
+    OPEN[i] = n
+    counters[HEAP_MOVES] += 1

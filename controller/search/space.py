@@ -1,0 +1,84 @@
+"""A graph and its durations as the flat arrays that the search kernels read."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.types import Motion
+from sumo_nets.graph import FloatArray, Graph, IntArray
+
+#: Columns of the counters array that all kernels add to (int64, shape (4,)), in the order of ``types.Counters``.
+EXPANDED, HEAP_MOVES, GENERATED, VALID = 0, 1, 2, 3
+
+
+class Lanes(NamedTuple):
+    """What kernels read of a graph and its durations; all contiguous int32 but ``xy``.
+
+    Attributes:
+        tail, head, first_out: as in ``Graph``.
+        first_in, in_edges: the edges that enter vertex ``v`` are ``in_edges[first_in[v]:first_in[v + 1]]``.
+        edge_steps, turn_steps, first_transition: as in ``Motion``.
+        xy: vertex positions in metres, shape (n, 2).
+    """
+
+    tail: IntArray
+    head: IntArray
+    first_out: IntArray
+    first_in: IntArray
+    in_edges: IntArray
+    edge_steps: IntArray
+    turn_steps: IntArray
+    first_transition: IntArray
+    xy: FloatArray
+
+
+class Space:
+    """A graph and a motion prepared for searching, once per garage and shared by all searches.
+
+    Attributes:
+        graph, motion: what it was made from.
+        lanes: the arrays for the kernels.
+        rates: steps per metre that no edge beats, by Manhattan and by Euclidean length of the edge, for empty
+            (row 0) and loaded (row 1) AGVs, shape (2, 2).
+        leaf: shape (n,), True for a vertex with a single neighbour: nobody can pass through it.
+    """
+
+    def __init__(self, graph: Graph, motion: Motion) -> None:
+        n = len(graph.names)
+        self.graph = graph
+        self.motion = motion
+        self.lanes = Lanes(
+            tail=_int32(graph.tail),
+            head=_int32(graph.head),
+            first_out=_int32(graph.first_out),
+            first_in=_int32(np.concatenate(([0], np.cumsum(np.bincount(graph.head, minlength=n))))),
+            in_edges=_int32(np.argsort(graph.head, kind="stable")),
+            edge_steps=_int32(motion.edge_steps),
+            turn_steps=_int32(motion.turn_steps),
+            first_transition=_int32(motion.first_transition),
+            xy=np.array(graph.xy, dtype=np.float64),
+        )
+        self.rates = self._rates()
+        self.leaf = self._leaves(n)
+
+    def _rates(self) -> FloatArray:
+        span = np.abs(self.lanes.xy[self.lanes.head] - self.lanes.xy[self.lanes.tail])
+        rates = np.zeros((2, 2))
+        for k, metres in enumerate((span.sum(axis=1), np.hypot(span[:, 0], span[:, 1]))):
+            real = metres > 0
+            if real.any():
+                rates[:, k] = (self.lanes.edge_steps[:, real] / metres[real]).min(axis=1) * (1 - 1e-9)
+        return rates
+
+    def _leaves(self, n: int) -> NDArray[np.bool_]:
+        ends = np.stack((self.lanes.tail, self.lanes.head), axis=1)
+        pairs = np.concatenate((ends, ends[:, ::-1]))
+        return np.asarray(np.bincount(np.unique(pairs, axis=0)[:, 0], minlength=n) <= 1)
+
+
+def _int32(a: IntArray | NDArray[np.int64]) -> IntArray:
+    """A contiguous, writable copy: kernels are compiled for one array type only."""
+    return np.array(a, dtype=np.int32, order="C")
