@@ -1,0 +1,158 @@
+"""Customers' cars in SUMO: they come by the street, wait in line, stand at a bay, and drive off.
+
+A car that comes waits in a backlog until SUMO has room for it on the entry edge; only one car at a time is offered to
+SUMO. Then it drives up to the hold line. Called forward, it drives on to the bay's inbound parkingArea. It vanishes
+when an AGV has lifted it, and appears again at the outbound parkingArea when an AGV has set it down there.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from parking_sim.plants import CarAtBay, CarLeft, PlantEvent
+from parking_sim.plants.sumo_files import CUSTOMER_IN, CUSTOMER_OUT
+
+if TYPE_CHECKING:
+    from sumo_nets.read import BaySite, GarageNet, Street
+
+_FOREVER_S = 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class StreetState:
+    """Customers who wait.
+
+    Attributes:
+        queued: cars that stand on the queue edge.
+        spilled: cars that stand on the street before it, or have found no room there yet.
+    """
+
+    queued: int
+    spilled: int
+
+
+class Customers:
+    """All customers' cars of one simulation.
+
+    Args:
+        api: libsumo or traci, with a simulation running.
+        garage: the net.
+    """
+
+    def __init__(self, api: Any, garage: GarageNet) -> None:
+        self.events: list[PlantEvent] = []
+        self._api = api
+        self._street: Street | None = garage.street
+        self._bays: tuple[BaySite, ...] = garage.bays
+        self._backlog: deque[str] = deque()
+        self._entering = ""  # offered to SUMO, not on the street yet
+        self._inside: set[str] = set()  # on the street or at an inbound place
+        self._calls: dict[str, int] = {}  # called forward, not told to SUMO yet
+        self._driving: dict[str, int] = {}  # on the way to a bay
+        self._placing: dict[str, int] = {}  # retrieved, no room at the outbound place yet
+        self._leaving: dict[str, int] = {}  # at the outbound place or driving off it
+        self._impatient: set[str] = set()  # told to drive off before they stood in SUMO
+        if self._street is not None:
+            api.route.add("customer_in", (self._street.entry_edge, self._street.queue_edge))
+            for bay, site in enumerate(self._bays):
+                api.route.add(f"bay_in{bay}", tuple(site.in_route))
+                api.route.add(f"bay_out{bay}", tuple(site.out_route))
+
+    def arrive(self, car: str) -> None:
+        """A car joins the end of the line."""
+        if self._street is None:
+            raise self._api.TraCIException("the net has no street for customers")
+        self._backlog.append(car)
+
+    def call_forward(self, car: str, bay: int) -> None:
+        """Send a waiting car on to a bay, as soon as SUMO accepts it."""
+        self._calls[car] = bay
+
+    def hand_over(self, car: str, bay: int) -> None:
+        """A retrieved car is to stand at a bay's outbound place, as soon as there is room."""
+        self._placing[car] = bay
+        self._offer_place(car, bay)
+
+    def drive_off(self, car: str) -> None:
+        """A retrieved car leaves its outbound place."""
+        if car in self._placing:
+            self._impatient.add(car)
+        else:
+            self._api.vehicle.resume(car)
+
+    def take(self, car: str) -> None:
+        """An AGV has lifted a car: if it stood at a bay, it is no longer SUMO's."""
+        if car in self._inside:
+            self._inside.discard(car)
+            self._api.vehicle.remove(car)
+
+    def before_step(self) -> None:
+        """Hand SUMO what it can take now."""
+        if self._backlog and not self._entering:
+            self._enter(self._backlog.popleft())
+        if self._calls:
+            for car in [c for c in self._calls if c in self._inside]:
+                self._send(car, self._calls[car])
+
+    def after_step(self) -> None:
+        """See what happened; fills ``events``."""
+        self.events = []
+        simulation = self._api.simulation
+        if self._entering and self._entering in simulation.getDepartedIDList():
+            self._inside.add(self._entering)
+            self._entering = ""
+        if self._driving:
+            for car in simulation.getParkingStartingVehiclesIDList():
+                if car in self._driving:
+                    self.events.append(CarAtBay(car, self._driving.pop(car)))
+        if self._placing:
+            self._see_placed(simulation.getDepartedIDList())
+        if self._leaving:
+            for car in simulation.getParkingEndingVehiclesIDList():
+                if car in self._leaving:
+                    self.events.append(CarLeft(car, self._leaving.pop(car)))
+
+    def street(self) -> StreetState:
+        """Cars that wait now."""
+        if self._street is None or not (self._inside or self._backlog or self._entering):
+            return StreetState(0, 0)
+        halting = self._api.edge.getLastStepHaltingNumber
+        outside = len(self._backlog) + bool(self._entering)
+        return StreetState(halting(self._street.queue_edge), halting(self._street.entry_edge) + outside)
+
+    def _enter(self, car: str) -> None:
+        assert self._street is not None
+        self._entering = car
+        self._api.vehicle.add(car, "customer_in", CUSTOMER_IN, departPos="base", departSpeed="max")
+        self._api.vehicle.setStop(car, self._street.queue_edge, self._street.hold_pos_m, duration=_FOREVER_S)
+
+    def _send(self, car: str, bay: int) -> None:
+        """Drive on from the hold line, or without stopping there; refused on a junction, so wait for the next edge."""
+        assert self._street is not None
+        vehicle, site = self._api.vehicle, self._bays[bay]
+        road = vehicle.getRoadID(car)
+        if road.startswith(":"):
+            return
+        del self._calls[car]
+        waiting = vehicle.isStopped(car)
+        before = () if road == self._street.queue_edge else (road,)
+        vehicle.setRoute(car, (*before, *site.in_route))
+        vehicle.setParkingAreaStop(car, site.in_area, duration=_FOREVER_S)
+        if waiting:
+            vehicle.resume(car)
+        else:
+            vehicle.setStop(car, self._street.queue_edge, self._street.hold_pos_m, duration=0.0)
+        self._driving[car] = bay
+
+    def _offer_place(self, car: str, bay: int) -> None:
+        self._api.vehicle.add(car, f"bay_out{bay}", CUSTOMER_OUT, departPos="stop", departSpeed="0")
+        self._api.vehicle.setParkingAreaStop(car, self._bays[bay].out_area, duration=_FOREVER_S)
+
+    def _see_placed(self, departed: tuple[str, ...]) -> None:
+        for car in [c for c in self._placing if c in departed]:
+            self._leaving[car] = self._placing.pop(car)
+            if car in self._impatient:
+                self._impatient.discard(car)
+                self._api.vehicle.resume(car)
