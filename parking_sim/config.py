@@ -15,9 +15,12 @@ from pydantic_core import ErrorDetails
 from demand.park_exit import ParkExit
 from demand.workloads import WORKLOADS, WorkloadConfig
 from parking_sim.errors import InputError
+from sumo_nets.read import shipped_nets
 
-#: AGVs of a shipped garage when nothing else is said.
+#: AGVs of the shipped garages when nothing else is said.
 DEFAULT_AGVS = {"map1": 4, "map2": 4, "map3": 8, "map1_thesis": 4, "map2_thesis": 4, "map3_thesis": 8}
+
+NET_SUFFIXES = (".net.xml", ".net.xml.gz")
 
 
 class _Options(BaseModel):
@@ -151,12 +154,18 @@ class Scenario(_Options):
         """Folder from which relative paths in the scenario count: that of its file, or the working directory."""
         return self._base_dir
 
+    @property
+    def garage_source(self) -> str | Path:
+        """Name of a shipped garage, or path of a net file."""
+        return self.base_dir / self.garage if self.garage.endswith(NET_SUFFIXES) else self.garage
+
 
 def load_scenario(source: str | Path, overrides: Mapping[str, object] | None = None) -> Scenario:
     """Read a scenario.
 
     Args:
-        source: a YAML file, or the name of a shipped garage for its default: every car parked, then brought back.
+        source: a YAML file; or a shipped garage's name or a net file for its default: every car parked, then brought
+            back.
         overrides: values for keys at the top level that go before the file's.
 
     Returns:
@@ -166,13 +175,16 @@ def load_scenario(source: str | Path, overrides: Mapping[str, object] | None = N
         InputError: no such file or garage, bad YAML, or a value that isn't valid.
     """
     overrides = overrides or {}
-    if str(source) in DEFAULT_AGVS:
-        name = str(source)
-        return _validate({"garage": name, "agvs": DEFAULT_AGVS[name]}, overrides, name, Path())
+    name = str(source)
+    if name in shipped_nets():
+        return _validate({"garage": name, "agvs": DEFAULT_AGVS.get(name, 1)}, overrides, name, Path())
+    if name.endswith(NET_SUFFIXES):
+        return _validate({"garage": name}, overrides, name, Path())
     path = Path(source)
     if path.suffix not in (".yaml", ".yml"):
-        raise InputError(f"{source}: not a shipped garage ({', '.join(DEFAULT_AGVS)}) nor a scenario file (.yaml)")
-    return _validate(_read_yaml(path), overrides, str(path), path.parent)
+        shipped = ", ".join(shipped_nets())
+        raise InputError(f"{source}: give a scenario (.yaml), a net (.net.xml.gz) or a shipped garage: {shipped}")
+    return _validate(_read_yaml(path), overrides, name, path.parent)
 
 
 def _read_yaml(path: Path) -> dict[str, object]:

@@ -1,0 +1,260 @@
+"""The command line. What the user can put right is one line on stderr and exit code 2.
+
+Everything heavy is imported where it is used, so that ``--help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from parking_sim.errors import InputError
+from parking_sim.folders import check_folder
+
+if TYPE_CHECKING:
+    from parking_sim.simulation import Progress, Summary
+
+#: Exit codes: the run ended without finishing its work; bad input; Ctrl-C.
+UNFINISHED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+
+app = typer.Typer(
+    name="parking-sim",
+    help="Robotic parking garages in SUMO: AGVs park cars and bring them back.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+class PlantName(StrEnum):
+    """What moves the AGVs."""
+
+    SUMO = "sumo"
+    DISCRETE = "discrete"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and leave with its exit code.
+
+    Args:
+        arguments: words after the program's name; those of the process by default.
+
+    Raises:
+        SystemExit: always.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    usage_error = cast(type[Exception], typer.BadParameter.__bases__[0])
+    try:
+        code = app(words, prog_name=app.info.name, standalone_mode=False)
+    except usage_error as error:
+        _complain(getattr(error, "format_message", error.__str__)())
+        code = BAD_INPUT
+    except (KeyboardInterrupt, typer.Abort):
+        code = INTERRUPTED
+    except _input_errors() as error:
+        _complain(str(error))
+        code = BAD_INPUT
+    raise SystemExit(code)
+
+
+@app.command()
+def run(
+    scenario: Annotated[str, typer.Argument(help="A scenario file (.yaml), a shipped garage, or a net file.")],
+    agvs: Annotated[int | None, typer.Option(help="Number of AGVs.")] = None,
+    planner: Annotated[str | None, typer.Option(help="Planner: a name, or file.py:function.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of every random stream.")] = None,
+    plant: Annotated[PlantName | None, typer.Option(help="What moves the AGVs.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the record; default: a new one in runs/.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an earlier run in that folder.")] = False,
+    gui: Annotated[bool, typer.Option("--gui", help="Watch it in sumo-gui.")] = False,
+    fcd: Annotated[bool, typer.Option("--fcd", help="Write SUMO's floating car data as well.")] = False,
+    report: Annotated[bool, typer.Option(help="Write an HTML report.")] = True,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
+) -> None:
+    """Run one scenario and write its record."""
+    from parking_sim.config import load_scenario
+
+    given = {"agvs": agvs, "planner": planner, "seed": seed, "plant": plant.value if plant else None}
+    loaded = load_scenario(scenario, {key: value for key, value in given.items() if value is not None})
+    name = Path(scenario).name.split(".")[0]
+    folder = out or Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    check_folder(folder, force)
+
+    from parking_sim.simulation import simulate
+
+    with _progress_bar(name, quiet) as progress:
+        summary = simulate(loaded, folder, gui=gui, fcd=fcd, progress=progress)
+    page = _write_report(folder) if report else None
+    if not quiet:
+        _print_summary(summary, folder, page)
+    raise typer.Exit(exit_code(summary.status))
+
+
+@app.command()
+def demo(
+    out: Annotated[Path | None, typer.Option(help="Folder for records and report; default: runs/demo, anew.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace earlier runs in that folder.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, only the table.")] = False,
+) -> None:
+    """Park every car of map1, map2 and map3 in SUMO, bring every car back, and write a report."""
+    from parking_sim.demo import run_demo
+
+    raise typer.Exit(run_demo(out or Path("runs/demo"), force or out is None, quiet))
+
+
+@app.command()
+def nets() -> None:
+    """List the shipped garages."""
+    from sumo_nets.read import shipped_nets
+
+    for name in shipped_nets():
+        print(name)
+
+
+@app.command()
+def build_net(
+    layout: Annotated[Path | None, typer.Argument(help="A layout file (.yaml).")] = None,
+    every: Annotated[bool, typer.Option("--all", help="Build every shipped layout.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the net; default: the layout's, or the shipped nets' with --all.")
+    ] = None,
+) -> None:
+    """Build SUMO nets from layouts with netconvert."""
+    import sumo_nets
+    from sumo_nets.build import build_net as build
+    from sumo_nets.layout import load_layout
+
+    if (layout is None) != every:
+        raise InputError("build-net: give one layout file, or --all")
+    package = Path(sumo_nets.__file__).parent
+    paths = sorted((package / "layouts").glob("*.yaml")) if layout is None else [layout]
+    for path in paths:
+        folder = out or (package / "nets" if every else path.parent)
+        try:
+            written = build(load_layout(path), folder, str(path))
+        except OSError as error:
+            raise InputError(f"--out: {folder}: can't be written: {error.strerror}") from None
+        for file in written:
+            print(file)
+
+
+@app.command()
+def check_net(nets: Annotated[list[str], typer.Argument(help="Shipped garages or net files.")]) -> None:
+    """Check nets: every slot reachable from every bay and back, two-way lanes whole, SUMO loads them silently."""
+    from sumo_nets.check import check_net as check
+
+    from sumo_nets.read import read_net
+
+    faults = 0
+    for name in nets:
+        complaints = check(read_net(name))
+        faults += len(complaints)
+        for line in complaints or ["ok"]:
+            print(f"{name}: {line}")
+    raise typer.Exit(UNFINISHED if faults else 0)
+
+
+@app.command()
+def draw_net(
+    net: Annotated[str, typer.Argument(help="A shipped garage or a net file.")],
+    out: Annotated[Path, typer.Option(help="Picture to write, .svg or .png.")],
+) -> None:
+    """Draw a net as a picture."""
+    from sumo_nets.draw import draw_net as draw
+
+    from sumo_nets.read import read_net
+
+    if out.suffix not in (".svg", ".png"):
+        raise InputError(f"--out: {out}: give a file name that ends with .svg or .png")
+    garage = read_net(net)
+    try:
+        draw(garage, out)
+    except OSError as error:
+        raise InputError(f"--out: {out}: can't be written: {error.strerror}") from None
+    print(out)
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON schema of scenario files."""
+    from parking_sim.config import Scenario
+
+    print(json.dumps(Scenario.model_json_schema(), indent=2))
+
+
+@app.command()
+def doctor() -> None:
+    """Say whether this installation can run: versions, SUMO, compiled searches, netconvert."""
+    from parking_sim.doctor import examine
+
+    findings = examine()
+    for finding in findings:
+        mark = "ok" if finding.ok else "MISSING" if finding.needed else "absent"
+        print(f"{mark:8}{finding.what}: {finding.detail}")
+    raise typer.Exit(UNFINISHED if any(f.needed and not f.ok for f in findings) else 0)
+
+
+def exit_code(status: str) -> int:
+    """Exit code for a run that ended so."""
+    return {"finished": 0, "interrupted": INTERRUPTED}.get(status, UNFINISHED)
+
+
+def _complain(message: str) -> None:
+    print("error:", " ".join(message.split()), file=sys.stderr)
+
+
+def _input_errors() -> tuple[type[Exception], ...]:
+    """Every package's exceptions for input; imported only when one was raised."""
+    from sumo_nets.build import NetconvertError
+    from sumo_nets.layout import LayoutError
+    from sumo_nets.read import NetError
+
+    return (InputError, LayoutError, NetError, NetconvertError)
+
+
+@contextmanager
+def _progress_bar(name: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
+    """What to call with a run's progress; nothing when it is quiet or stderr is not a terminal."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from parking_sim.progress import RunBars
+
+    with RunBars([name]) as bars:
+        yield lambda progress: bars.update(name, progress)
+
+
+def _write_report(folder: Path) -> Path:
+    from analysis.report import write_report
+
+    return write_report(folder)
+
+
+def _print_summary(summary: Summary, folder: Path, page: Path | None) -> None:
+    shown = (
+        ("tasks_done", "tasks done"),
+        ("tasks_wanted", "of"),
+        ("simulated_s", "simulated seconds"),
+        ("retrieval_wait_p95_s", "retrieval wait, 95 % (s)"),
+        ("deadlocks_found", "deadlocks found"),
+        ("deadlocks_resolved", "deadlocks resolved"),
+        ("sumo_collisions", "SUMO collisions"),
+        ("footprint_overlaps", "footprint overlaps"),
+        ("least_clearance_m", "least clearance (m)"),
+    )
+    print(summary.status)
+    for key, words in shown:
+        value = summary.metrics.get(key)
+        if value is not None:
+            print(f"  {words:26} {value:.6g}" if isinstance(value, float) else f"  {words:26} {value}")
+    print(f"record: {folder}")
+    if page is not None:
+        print(f"report: {page}")

@@ -1,0 +1,170 @@
+"""The demonstration: three garages park every car and bring every car back, side by side."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import queue
+import signal
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, wait
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.table import Table
+
+from parking_sim.config import DEFAULT_AGVS, load_scenario
+from parking_sim.folders import check_folder
+from parking_sim.progress import RunBars
+
+if TYPE_CHECKING:
+    from parking_sim.simulation import Progress, Summary
+
+#: The garages, biggest first, so that the longest run doesn't start last.
+MAPS = ("map3", "map2", "map1")
+
+_POLL_S = 0.2
+_progress_queue: Any = None
+
+
+def run_demo(out: Path, force: bool, quiet: bool) -> int:
+    """Run the shipped garages in parallel and print what came of it.
+
+    Args:
+        out: folder; each garage's record goes into a folder of its name, the overview to ``index.html``.
+        force: earlier runs there may be replaced.
+        quiet: no progress, only the table.
+
+    Returns:
+        Exit code: 0 if every task of every garage was done safely, 130 after Ctrl-C, else 1.
+
+    Raises:
+        InputError: the folder can't be used.
+    """
+    folders = {name: out / name for name in MAPS}
+    for folder in folders.values():
+        check_folder(folder, force)
+    summaries = _run_all(folders, quiet or not sys.stderr.isatty())
+    names = sorted(summaries)
+    Console().print(results_table({name: summaries[name] for name in names}))
+    if any(summary.status == "interrupted" for summary in summaries.values()):
+        return 130
+    from analysis.report import write_index
+
+    print(f"report: {write_index([folders[name] for name in names], out / 'index.html')}")
+    complaints = [f"{name}: {line}" for name in names for line in complaints_of(summaries[name])]
+    for complaint in complaints:
+        print(complaint, file=sys.stderr)
+    return 1 if complaints else 0
+
+
+def complaints_of(summary: Summary) -> list[str]:
+    """What was incomplete or unsafe in a run, one line each; empty if all was well."""
+    metrics = summary.metrics
+    complaints = [] if summary.status == "finished" else [f"ended with status {summary.status!r}"]
+    if metrics["tasks_done"] != metrics["tasks_wanted"]:
+        complaints.append(f"{metrics['tasks_done']} of {metrics['tasks_wanted']} tasks done")
+    if metrics["deadlocks_unresolved"]:
+        complaints.append(f"{metrics['deadlocks_unresolved']} deadlocks not resolved")
+    for key in ("sumo_collisions", "footprint_overlaps"):
+        if metrics[key]:
+            complaints.append(f"{metrics[key]} {key.replace('_', ' ')}")
+    return complaints
+
+
+def results_table(summaries: Mapping[str, Summary]) -> Table:
+    """The figures of some runs as a table for the terminal.
+
+    Args:
+        summaries: a run's name -> its outcome.
+
+    Returns:
+        One row a run.
+    """
+    table = Table(title="every car parked, then every car brought back")
+    table.add_column("map")
+    for heading in (
+        "AGVs",
+        "tasks done",
+        "SUMO collisions",
+        "footprint overlaps",
+        "least clearance m",
+        "deadlocks found / resolved",
+        "tasks/h",
+        "retrieval p95 s",
+        "simulated h",
+        "speed",
+    ):
+        table.add_column(heading, justify="right")
+    for name, summary in summaries.items():
+        table.add_row(name, str(DEFAULT_AGVS[name]), *_cells(summary.metrics))
+    return table
+
+
+def _cells(metrics: Mapping[str, Any]) -> Sequence[str]:
+    hours = metrics["simulated_s"] / 3600
+    return (
+        f"{metrics['tasks_done']} / {metrics['tasks_wanted']}",
+        str(metrics["sumo_collisions"]),
+        str(metrics["footprint_overlaps"]),
+        f"{metrics['least_clearance_m']:.2f}",
+        f"{metrics['deadlocks_found']} / {metrics['deadlocks_resolved']}",
+        f"{metrics['tasks_done'] / hours:.1f}" if hours else "-",
+        f"{metrics['retrieval_wait_p95_s']:.0f}",
+        f"{hours:.1f}",
+        f"{metrics['wall_speed']:.0f}x",
+    )
+
+
+def _run_all(folders: Mapping[str, Path], quiet: bool) -> dict[str, Summary]:
+    context = multiprocessing.get_context("spawn")
+    reports = context.Queue()
+    workers = min(len(folders), os.cpu_count() or 1)
+    bars = nullcontext() if quiet else RunBars(list(folders))
+    with ProcessPoolExecutor(workers, context, _start_worker, (reports,)) as pool, bars as shown:
+        futures = {pool.submit(_run_one, name, folder): name for name, folder in folders.items()}
+        try:
+            _watch(futures, reports, shown)
+        except KeyboardInterrupt:
+            # the workers got it too: those that run write what they have, the others are not started
+            for future in futures:
+                future.cancel()
+            wait(futures)
+    return {name: future.result() for future, name in futures.items() if not future.cancelled()}
+
+
+def _watch(futures: Mapping[Future[Summary], str], reports: Any, shown: RunBars | None) -> None:
+    while not all(future.done() for future in futures):
+        try:
+            name, progress = reports.get(timeout=_POLL_S)
+        except queue.Empty:
+            continue
+        if shown is not None:
+            shown.update(name, progress)
+
+
+def _start_worker(reports: Any) -> None:
+    """An idle worker leaves Ctrl-C to its parent; a running one writes its record."""
+    global _progress_queue
+    _progress_queue = reports
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _run_one(name: str, folder: Path) -> Summary:
+    from analysis.report import write_report
+
+    from parking_sim.simulation import simulate
+
+    def tell(progress: Progress) -> None:
+        _progress_queue.put((name, progress))
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        summary = simulate(load_scenario(name), folder, progress=tell)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    write_report(folder)
+    return summary

@@ -1,0 +1,87 @@
+"""Whether this installation can run, and what to do if not."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import platform
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+#: Distributions whose versions are worth knowing in a question about a run.
+_PACKAGES = ("libsumo", "numpy", "numba", "networkx", "pandas", "duckdb", "pydantic", "matplotlib", "typer", "rich")
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing looked at.
+
+    Attributes:
+        what: its name.
+        ok: it is as it should be.
+        detail: version or place, or what to do.
+        needed: no run is possible without it.
+    """
+
+    what: str
+    ok: bool
+    detail: str
+    needed: bool = True
+
+
+def examine() -> list[Finding]:
+    """Look at everything a run needs.
+
+    Returns:
+        The findings, in the order in which to put them right.
+    """
+    versions = [Finding("python", True, platform.python_version())]
+    versions += [_probe(name, lambda name=name: importlib.metadata.version(name)) for name in _PACKAGES]  # type: ignore[misc]
+    return [
+        *versions,
+        _probe("SUMO", _sumo_version),
+        _probe("shipped garages", _garages),
+        _probe("cache of compiled searches", _numba_cache, needed=False),
+        _probe("netconvert (to build nets)", _netconvert, needed=False),
+    ]
+
+
+def _probe(what: str, look: Callable[[], str], needed: bool = True) -> Finding:
+    try:
+        return Finding(what, True, look(), needed)
+    except Exception as error:
+        return Finding(what, False, " ".join(f"{type(error).__name__}: {error}".split()), needed)
+
+
+def _sumo_version() -> str:
+    libsumo = importlib.import_module("libsumo")
+    return str(libsumo.getVersion()[1])
+
+
+def _garages() -> str:
+    from sumo_nets.read import read_net, shipped_nets
+
+    names = shipped_nets()
+    for name in names:
+        read_net(name)
+    if not names:
+        raise FileNotFoundError("none; build them with parking-sim build-net --all")
+    return ", ".join(names)
+
+
+def _numba_cache() -> str:
+    """Numba caches beside the sources, or where NUMBA_CACHE_DIR says; without that, every process compiles anew."""
+    import controller
+
+    config = importlib.import_module("numba.core.config")
+    folder = Path(config.CACHE_DIR or Path(controller.__file__).parent)
+    with tempfile.TemporaryFile(dir=folder):
+        return str(folder)
+
+
+def _netconvert() -> str:
+    from sumo_nets.build import find_netconvert
+
+    return find_netconvert()

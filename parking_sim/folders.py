@@ -1,0 +1,64 @@
+"""The folder of a run: whether it may be used is decided before anything heavy starts."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from parking_sim.errors import InputError
+
+#: A folder that holds this file holds a run. It is the last file of a run to be written.
+RUN_FILE = "run.json"
+
+_SUFFIXES = {".parquet", ".json", ".html", ".xml", ".gz", ".sumocfg", ".yaml", ".svg", ".png"}
+
+
+def check_folder(folder: Path, force: bool) -> None:
+    """Make sure that a run may be written to a folder, and leave everything as it was.
+
+    Args:
+        folder: where the run shall go; it need not exist.
+        force: an earlier run there may be replaced.
+
+    Raises:
+        InputError: it can't be written, holds an earlier run and ``force`` is not set, or holds something else.
+    """
+    try:
+        if folder.is_dir() and any(folder.iterdir()):
+            if not (folder / RUN_FILE).is_file():
+                raise InputError(f"--out: {folder}: holds files that are not a run's; give another folder")
+            if not force:
+                raise InputError(
+                    f"--out: {folder}: holds an earlier run; give another folder, or --force to replace it"
+                )
+        _try_writing(folder)
+    except OSError as error:
+        raise InputError(f"--out: {folder}: can't be written: {error.strerror}") from None
+
+
+def clear_run(folder: Path) -> None:
+    """Remove an earlier run's files, so that none of them is taken for the new run's.
+
+    Args:
+        folder: a run's folder. One that is absent or holds no run is left as it is, and so are folders within and files
+            of kinds that a run doesn't write.
+    """
+    if (folder / RUN_FILE).is_file():
+        for path in (folder / RUN_FILE, *folder.iterdir()):
+            if path.is_file() and path.suffix in _SUFFIXES:
+                path.unlink()
+
+
+def _try_writing(folder: Path) -> None:
+    """Make the folder and a file in it, then remove what was made."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    made: list[Path] = []
+    try:
+        for path in reversed(missing):
+            path.mkdir()
+            made.append(path)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    finally:
+        for path in reversed(made):
+            path.rmdir()
