@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -21,6 +21,19 @@ from sumo_nets.read import shipped_nets
 DEFAULT_AGVS = {"map1": 4, "map2": 4, "map3": 8, "map1_thesis": 4, "map2_thesis": 4, "map3_thesis": 8}
 
 NET_SUFFIXES = (".net.xml", ".net.xml.gz")
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML that refuses a key given twice, of which the standard keeps the last without a word."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        """Build a mapping whose keys differ."""
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                raise yaml.MarkedYAMLError(problem=f"key {key.value!r} is given twice", problem_mark=key.start_mark)
+            seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
+        return super().construct_mapping(node, deep)
 
 
 class _Options(BaseModel):
@@ -189,7 +202,7 @@ def load_scenario(source: str | Path, overrides: Mapping[str, object] | None = N
 
 def _read_yaml(path: Path) -> dict[str, object]:
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f"line {mark.line + 1}: " if mark else ""
@@ -226,7 +239,7 @@ def _one_line(error: ErrorDetails) -> str:
         return f"{field}: unknown key; {hint}"
     if kind == "missing":
         wanted = model.model_fields[str(error["loc"][-1])].description if model else ""
-        return f"{field}: missing; give the {wanted}"
+        return f"{field}: missing ({wanted})"
     if kind == "union_tag_not_found":
         return f"{field}.kind: missing; give one of {', '.join(WORKLOADS)}"
     if kind in ("model_type", "model_attributes_type", "dict_type"):
