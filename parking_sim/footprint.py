@@ -1,14 +1,29 @@
 """An independent look at all bodies as rectangles: who overlaps, and how close they come.
 
-SUMO does not see AGVs that cross at a small node, and the controller is what is to be checked, so this knows neither:
-it is given rectangles, step by step.
+SUMO does not see AGVs that cross at a small node, and the controller is what is to be checked. So this knows neither of
+them: step by step it is given rectangles, and is told which cars were set down and lifted.
+
+An empty AGV is flat and may drive in under a parked car, along the car's axis, with its front or rear in the middle; a
+loaded one may not.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 from sumo_nets.graph import FloatArray
+
+#: An empty AGV counts as under a parked car when the middle of its front or rear is within this many metres of the
+#: car's axis, and inside the car or this many metres before or behind it.
+UNDER_ASIDE_M = 0.5
+UNDER_AHEAD_M = 1.5
+_MAX_PAIRS = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,6 +34,7 @@ class Bodies:
         x, y: middle of the front side in metres.
         angle: direction of driving in radians, counter-clockwise from east.
         length, width: in metres.
+        loaded: whether it carries a car.
     """
 
     x: FloatArray
@@ -26,3 +42,221 @@ class Bodies:
     angle: FloatArray
     length: FloatArray
     width: FloatArray
+    loaded: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Nearness:
+    """How close two bodies came, or that they overlapped.
+
+    Attributes:
+        time_s: when, in simulated seconds.
+        agv: number of the AGV.
+        other: the other body: an AGV's number, or the name of a parked car.
+        clear_m: room between them in metres, 0 for an overlap.
+    """
+
+    time_s: float
+    agv: int
+    other: int | str
+    clear_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Clearance:
+    """What the check of a whole run found.
+
+    Attributes:
+        overlaps: how often two bodies came to overlap.
+        overlap_steps: steps in which they did, summed over pairs.
+        agvs: the closest two AGVs ever came, None if they never came within reach.
+        parked: the closest an AGV ever came to a parked car, None likewise.
+    """
+
+    overlaps: int
+    overlap_steps: int
+    agvs: Nearness | None
+    parked: Nearness | None
+
+    @property
+    def least_m(self) -> float:
+        """The least room between any two bodies in metres; infinite if no two ever came within reach."""
+        return min((n.clear_m for n in (self.agvs, self.parked) if n is not None), default=math.inf)
+
+
+@dataclass(slots=True)
+class _Parked:
+    """Parked cars sorted by x: rows of centre x, y, cosine, sine, half length, half width."""
+
+    names: list[str] = field(default_factory=list)
+    rows: FloatArray = field(default_factory=lambda: np.zeros((0, 6)))
+
+
+class FootprintCheck:
+    """Watches the bodies of one run. AGVs that have not moved since the last step are not looked at again."""
+
+    def __init__(self) -> None:
+        self.events: list[Nearness] = []  #: every overlap, when it began
+        self._parked = _Parked()
+        self._rows = np.zeros((0, 6))
+        self._pairs = np.zeros((_MAX_PAIRS, 2), dtype=np.int64)
+        self._least = np.full(2, np.inf)
+        self._closest: list[Nearness | None] = [None, None]
+        self._overlapping: set[tuple[int, int | str]] = set()
+        self._overlap_steps = 0
+
+    def lowered(self, car: str, agv: int) -> None:
+        """A car stands where this AGV was in the last step; it takes up the AGV's rectangle.
+
+        Raises:
+            KeyError: the car is parked already.
+            IndexError: no step was seen yet, or there is no such AGV.
+        """
+        if car in self._parked.names:
+            raise KeyError(f"car {car} is parked already")
+        row = self._rows[agv]
+        at = int(np.searchsorted(self._parked.rows[:, 0], row[0]))
+        self._parked.rows = np.insert(self._parked.rows, at, row, axis=0)
+        self._parked.names.insert(at, car)
+
+    def lifted(self, car: str) -> None:
+        """A parked car is gone; unknown cars (from a bay) are none of its business."""
+        if car in self._parked.names:
+            at = self._parked.names.index(car)
+            del self._parked.names[at]
+            self._parked.rows = np.delete(self._parked.rows, at, axis=0)
+
+    def step(self, time_s: float, bodies: Bodies) -> None:
+        """Look at one step.
+
+        Args:
+            time_s: simulated seconds.
+            bodies: the AGVs, the same ones in the same order in each step.
+        """
+        first = len(self._rows) != len(bodies.x)
+        if first:
+            self._rows = np.full((len(bodies.x), 6), np.inf)
+        found, agv, other, near, near_car = _look(
+            bodies.x, bodies.y, bodies.angle, bodies.length, bodies.width, bodies.loaded, bool(self._overlapping),
+            self._rows, self._parked.rows, self._least, self._pairs,
+        )  # fmt: skip
+        if agv >= 0:
+            self._closest[0] = Nearness(time_s, agv, other, float(self._least[0]))
+        if near >= 0:
+            self._closest[1] = Nearness(time_s, near, self._parked.names[near_car], float(self._least[1]))
+        if found or self._overlapping:
+            self._note(time_s, self._pairs[:found].tolist())
+
+    def result(self) -> Clearance:
+        """What was found so far."""
+        return Clearance(len(self.events), self._overlap_steps, self._closest[0], self._closest[1])
+
+    def _note(self, time_s: float, pairs: Sequence[Sequence[int]]) -> None:
+        names = self._parked.names
+        now: set[tuple[int, int | str]] = {(i, j if j >= 0 else names[-1 - j]) for i, j in pairs}
+        fresh = sorted(now - self._overlapping, key=lambda pair: (pair[0], str(pair[1])))
+        self.events += [Nearness(time_s, agv, other, 0.0) for agv, other in fresh]
+        self._overlap_steps += len(now)
+        self._overlapping = now
+
+
+def rectangle_distance(a: FloatArray, b: FloatArray) -> float:
+    """Room between two rectangles in metres, 0 if they touch or overlap.
+
+    Args:
+        a, b: centre x, y, cosine and sine of the direction, half length, half width.
+    """
+    return float(_distance(a, b))
+
+
+@njit(cache=True, error_model="numpy")
+def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, least, pairs):  # type: ignore[no-untyped-def]
+    """Update the rows; list overlapping pairs (a parked car p as -1 - p); lower ``least`` for AGVs and parked cars."""
+    n = len(x)
+    moved = np.zeros(n, dtype=np.bool_)
+    for i in range(n):
+        c, s = math.cos(angle[i]), math.sin(angle[i])
+        cx, cy = x[i] - c * length[i] / 2, y[i] - s * length[i] / 2
+        row = rows[i]
+        moved[i] = look_at_all or row[0] != cx or row[1] != cy or row[2] != c or row[3] != s
+        row[0], row[1], row[2], row[3], row[4], row[5] = cx, cy, c, s, length[i] / 2, width[i] / 2
+    found, agv, other, near, near_car = 0, -1, -1, -1, -1
+    for i in range(n):
+        if not moved[i]:
+            continue
+        a = rows[i]
+        reach = math.hypot(a[4], a[5])
+        for j in range(n):
+            if j == i or (j < i and moved[j]):
+                continue
+            b = rows[j]
+            limit = reach + math.hypot(b[4], b[5]) + min(least[0], 10.0)
+            dx, dy = b[0] - a[0], b[1] - a[1]
+            if dx * dx + dy * dy > limit * limit:
+                continue
+            d = _distance(a, b)
+            if d < least[0]:
+                least[0], agv, other = d, i, j
+            if d == 0.0 and found < len(pairs):
+                pairs[found, 0], pairs[found, 1] = min(i, j), max(i, j)
+                found += 1
+        widest = 8.0 + min(least[1], 2.0)  # further apart than this no two bodies of a usual size can matter
+        for p in range(np.searchsorted(parked[:, 0], a[0] - widest), len(parked)):
+            b = parked[p]
+            dx, dy = b[0] - a[0], b[1] - a[1]
+            if dx > widest:
+                break
+            limit = reach + math.hypot(b[4], b[5]) + min(least[1], 2.0)
+            if dx * dx + dy * dy > limit * limit or (not loaded[i] and _under(a, b)):
+                continue
+            d = _distance(a, b)
+            if d < least[1]:
+                least[1], near, near_car = d, i, p
+            if d == 0.0 and found < len(pairs):
+                pairs[found, 0], pairs[found, 1] = i, -1 - p
+                found += 1
+    return found, agv, other, near, near_car
+
+
+@njit(cache=True, error_model="numpy")
+def _under(a, b):  # type: ignore[no-untyped-def]
+    """Whether the middle of a's front or rear is inside b, or just before or behind it."""
+    for end in (a[4], -a[4]):
+        dx, dy = a[0] + end * a[2] - b[0], a[1] + end * a[3] - b[1]
+        along, aside = dx * b[2] + dy * b[3], dy * b[2] - dx * b[3]
+        if abs(aside) <= UNDER_ASIDE_M and abs(along) <= b[4] + UNDER_AHEAD_M:
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _distance(a, b):  # type: ignore[no-untyped-def]
+    """Room between two rectangles, 0 if they overlap.
+
+    They are apart if an axis of one of them separates them, and then the least distance is one from a corner.
+    """
+    if _separated(a, b) or _separated(b, a):
+        return math.sqrt(min(_corners(a, b), _corners(b, a)))
+    return 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _separated(a, b):  # type: ignore[no-untyped-def]
+    """Whether an axis of a separates a from b."""
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    c, s = abs(a[2] * b[2] + a[3] * b[3]), abs(a[2] * b[3] - a[3] * b[2])
+    along = abs(dx * a[2] + dy * a[3]) > a[4] + b[4] * c + b[5] * s
+    return along or abs(dy * a[2] - dx * a[3]) > a[5] + b[4] * s + b[5] * c
+
+
+@njit(cache=True, error_model="numpy")
+def _corners(a, b):  # type: ignore[no-untyped-def]
+    """Least squared distance from a corner of a to b."""
+    best = np.inf
+    for end in (a[4], -a[4]):
+        for side in (a[5], -a[5]):
+            dx, dy = a[0] + end * a[2] - side * a[3] - b[0], a[1] + end * a[3] + side * a[2] - b[1]
+            along = max(abs(dx * b[2] + dy * b[3]) - b[4], 0.0)
+            aside = max(abs(dy * b[2] - dx * b[3]) - b[5], 0.0)
+            best = min(best, along * along + aside * aside)
+    return best

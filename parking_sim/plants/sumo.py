@@ -128,7 +128,14 @@ class SumoPlant:
         self._errors: tuple[type[Exception], ...] = (self._api.TraCIException, self._api.FatalTraCIError)
         if self._api.isLoaded():
             raise PlantError("another SUMO simulation is open in this process: close it first, or use another process")
-        command = [binary, "-c", str(config), *(output_options(outputs, fcd) if outputs is not None else ())]
+        command = [
+            binary,
+            "-c",
+            str(config),
+            "--no-warnings",
+            "true",
+            *(output_options(outputs, fcd) if outputs is not None else ()),
+        ]
         try:
             self._api.start([*command, "--start", "--quit-on-end"] if gui else command)
             self._open = True
@@ -233,6 +240,7 @@ class SumoPlant:
             np.radians(self._angle),
             np.full(len(self._x), self.agv_type.length_m),
             np.full(len(self._x), self.agv_type.width_m),
+            np.array(self._loaded),
         )
 
     # ------------------------------------------------------------------ start
@@ -261,6 +269,7 @@ class SumoPlant:
     def _stand(self) -> None:
         n = len(self._agvs)
         self._x, self._y, self._angle, self._speed = [0.0] * n, [0.0] * n, [0.0] * n, [0.0] * n
+        self._loaded = [False] * n
         self._moving: set[int] = set()
         self._waiting: set[int] = set()
         self._actions: dict[int, int] = {}
@@ -412,12 +421,16 @@ class SumoPlant:
             a = self._agvs[i]
             act, a.acting = a.acting, None
             if act is not None and act.action is Action.LIFT:
-                self._api.vehicle.setType(a.name, LOADED)
+                self._load(i, True)
                 self._customers.take(act.car)
             elif act is not None and act.action is Action.LOWER:
-                self._api.vehicle.setType(a.name, EMPTY)
+                self._load(i, False)
             self._read_battery(i)
             self._report(i, not a.pending)
+
+    def _load(self, i: int, loaded: bool) -> None:
+        self._loaded[i] = loaded
+        self._api.vehicle.setType(self._agvs[i].name, LOADED if loaded else EMPTY)
 
     def _execute_customer(self, command: CallForward | HandOver | DriveOff) -> None:
         if isinstance(command, CallForward):

@@ -86,7 +86,7 @@ class Customers:
         """An AGV has lifted a car: if it stood at a bay, it is no longer SUMO's."""
         if car in self._inside:
             self._inside.discard(car)
-            self._api.vehicle.remove(car)
+            self._api.vehicle.remove(car, 1)
 
     def before_step(self) -> None:
         """Hand SUMO what it can take now."""
