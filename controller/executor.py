@@ -37,6 +37,7 @@ class Authority:
         pending: vertices planned but not granted.
         standing: at the end of its authority with nothing under way.
         acting_until: step at which the action under way ends, -1 when none is.
+        acting: that action.
         turned_to: vertex it has turned towards, -1 when it has not.
         since: step of the last change of ``reached``.
         loaded: it carries a car.
@@ -49,6 +50,7 @@ class Authority:
     pending: deque[int] = field(default_factory=deque)
     standing: bool = True
     acting_until: int = -1
+    acting: Action | None = None
     turned_to: int = -1
     since: int = 0
     loaded: bool = False
@@ -87,7 +89,8 @@ class Executor:
         for agv, v in enumerate(starts):
             self.owner[v] = agv
         self.order: dict[int, deque[int]] = {}
-        self.moves = 0
+        self.moves = [0] * len(starts)
+        self.distance_m = [0.0] * len(starts)
         self._due: set[int] = set()
 
     def accept(self, paths: Mapping[int, Path]) -> Refusal | None:
@@ -116,9 +119,9 @@ class Executor:
         """Take over what the plant saw; free what has been left.
 
         Returns:
-            The AGVs that came to stand at the end of their authority in this step.
+            The AGVs whose action ended.
         """
-        stopped = []
+        finished = []
         for s in states:
             a = self.agvs[s.agv]
             while a.first < s.left:
@@ -128,14 +131,22 @@ class Executor:
                 a.reached, a.since = s.reached, step
                 self._due.add(s.agv)
             standing = s.standing and a.reached == a.granted
-            if standing and not a.standing:
-                stopped.append(s.agv)
+            if standing != a.standing:
+                a.standing = standing
                 self._due.add(s.agv)
-            a.standing = standing
             if standing and 0 <= a.acting_until <= step:
-                a.acting_until = -1
+                a.acting_until, a.acting = -1, None
+                finished.append(s.agv)
                 self._due.add(s.agv)
-        return stopped
+        return finished
+
+    def cancel(self, agv: int) -> None:
+        """Drop the vertices planned but not granted."""
+        for v in self.agvs[agv].pending:
+            self.order[v].remove(agv)
+            if self.owner[v] == -1 and self.order[v]:
+                self._due.add(self.order[v][0])
+        self.agvs[agv].pending.clear()
 
     def act(self, agv: int, action: Action, steps: int, step: int, car: str = "") -> Act:
         """Start an action of a standing AGV and return the command for it.
@@ -146,8 +157,9 @@ class Executor:
         a = self.agvs[agv]
         if not a.standing or a.acting_until >= 0:
             raise RuntimeError(f"AGV {agv} cannot {action.value}: it is not standing idle")
-        a.acting_until = step + steps
-        a.standing = steps == 0
+        if steps:
+            a.acting_until, a.acting = step + steps, action
+            a.standing = False
         return Act(agv, action, steps, car)
 
     def grants(self, step: int) -> list[Command]:
@@ -190,12 +202,13 @@ class Executor:
                 self._leave_behind(agv)
             a.trail.append(w)
             a.in_edge = edge
+            self.distance_m[agv] += float(self.graph.length_m[edge])
             a.standing = False
             run.append(w)
         if run:
             if len(a.trail) == len(run) + 1 and a.reached == a.granted - len(run):
                 a.since = step
-            self.moves += len(run)
+            self.moves[agv] += len(run)
             commands.append(Advance(agv, tuple(run)))
 
     def _claim(self, agv: int, vertex: int) -> bool:
@@ -219,15 +232,21 @@ class Executor:
         if waiting:
             self._due.add(waiting[0])
 
-    def ready_step(self, agv: int, step: int) -> int:
-        """Estimated steps until an AGV can leave the end of its authority."""
+    def leave_steps(self, agv: int, step: int) -> list[int]:
+        """Estimated steps until an AGV has left each vertex of its trail; for the last one, until it can leave it."""
         a = self.agvs[agv]
         if a.acting_until >= 0:
-            return max(a.acting_until - step, 0)
-        ahead = a.granted - a.reached
-        if a.standing or ahead == 0:
-            return 0 if a.standing else 1
-        trail = list(a.trail)[-ahead - 1 :]
+            return [max(a.acting_until - step, 0)] * len(a.trail)
+        trail = list(a.trail)
         steps = self.motion.edge_steps[int(a.loaded)]
-        total = sum(int(steps[self.graph.edge_index[u, v]]) for u, v in pairwise(trail))
-        return max(total - (step - a.since), 1)
+        clock = a.since - step
+        left = []
+        for number, (u, v) in enumerate(pairwise(trail), start=a.first):
+            if number >= a.reached:
+                clock += int(steps[self.graph.edge_index[u, v]])
+            left.append(max(clock, 1))
+        return [*left, 0 if a.standing else max(clock, 1)]
+
+    def ready_step(self, agv: int, step: int) -> int:
+        """Estimated steps until an AGV can leave the end of its authority."""
+        return self.leave_steps(agv, step)[-1]

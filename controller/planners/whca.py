@@ -3,13 +3,14 @@
 Agents are planned in order of priority, each with the quickest path inside the window that keeps clear of everything
 reserved before it; the exact distance to the goal judges what lies beyond the window.
 
-Departures from the paper: time is in safe intervals instead of single steps (``search.sipp``); every agent's start is
-reserved for the time it needs to leave; an agent that finds no path takes back the path of the agent that cut it off and
-goes first, up to ``raises`` times a call; after that it holds its place, whoever planned to pass there plans again, and
-the result is PARTIAL.
-Guarantee: the paths, and the places of those that hold, are free of conflicts up to the window, and free of conflicts
-with ``fixed`` where the holders' places are. Limits: neither complete nor optimal; two agents may give way to each other
-for ever from window to window, which is for deadlock handling to see.
+Departures from the paper: time is in safe intervals instead of single steps (``search.sipp``). Every agent's start is
+reserved for the time it needs to leave. An agent that finds no path takes back the path of the agent that cut it off
+and goes first, up to ``raises`` times a call; after that it holds its place, whoever planned to pass there plans again,
+and the result is PARTIAL.
+Guarantee: paths, and the places of those that hold, are free of conflicts with each other and with ``fixed`` up to the
+window, unless a fixed path crosses the place of one that can't leave it in time.
+Limits: neither complete nor optimal; agents may give way to each other for ever from window to window, which is for
+deadlock handling to see.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ A state is an edge: "at its head, having come over it", so that turns count. The
 is aimed at the first vertex that asked; a later question resumes it where it stopped. Other agents are ignored, blocked
 vertices are not: they may be left, never driven into, unless they are the goal.
 
-Departure from the paper: durations differ per edge, turns cost time, and the estimate is the larger of the Manhattan and
-the Euclidean distance times the fastest pace of any edge (consistent, so a closed state is final).
+Departure from the paper: durations differ per edge, turns cost time, and the estimate is the larger of the Manhattan
+and the Euclidean distance times the fastest pace of any edge (consistent, so a closed state is final).
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ A path ends
 - at a vertex where it can wait until the window's end, f = window + h, dearer where ``no_rest`` holds.
 
 Departures from the papers: turns take time before a departure; with ``following`` False an agent owns both ends of an
-edge while it drives; with ``following`` True a move that would close a ring of agents, each entering the vertex that the
-next one leaves in the same step (a swap is the ring of two), is not allowed.
+edge while it drives; with ``following`` True a move that would close a ring of agents, each entering the vertex that
+the next one leaves in the same step (a swap is the ring of two), is not allowed.
 Guarantee: the path of least f, or none if there is none. Ties: smaller f, then larger g, then the older state.
 """
 

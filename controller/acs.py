@@ -1,0 +1,268 @@
+"""The ACS (AGV control system): from the state of the garage to commands, once a step.
+
+A step is a list of phases: what has ended, what begins at the goals, customers, charging, dispatch, planning, deadlock,
+grants. The ACS sees states and gives commands; it knows neither SUMO nor files nor wall time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from controller.costs import Costs
+from controller.dispatch import Rule, choose_slot
+from controller.executor import Executor
+from controller.fleet import FREE_MODES, Agv
+from controller.garage import Garage, Job
+from controller.planning import ControlOptions, Mask, Planning
+from controller.rules import Rules
+from controller.types import Action, AgvMode, AgvState, Command, Motion, Planner
+from sumo_nets.graph import Graph
+
+#: How events leave the ACS: kind, AGV (-1 for none), car, vertex (-1 for none), details.
+Log = Callable[[str, int, str, int, dict[str, object]], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What an ACS is made of.
+
+    Attributes:
+        graph, motion: the garage and how long moves take.
+        homes: home of each AGV; it starts there.
+        garage: the books.
+        rules: lifts, charging, assignment.
+        options: planning period, windows, deadlock limits.
+        planner: answers planning problems.
+        dispatch: which AGV takes which job.
+        log: takes events.
+    """
+
+    graph: Graph
+    motion: Motion
+    homes: Sequence[int]
+    garage: Garage
+    rules: Rules
+    options: ControlOptions
+    planner: Planner
+    dispatch: Rule
+    log: Log
+
+
+class Acs:
+    """Controls one garage.
+
+    Attributes:
+        agvs: the fleet.
+        executor: visiting orders and authorities.
+        planning: when and what is planned, deadlock handling.
+        costs: driving costs used for choices.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self.graph, self.garage, self.rules = setup.graph, setup.garage, setup.rules
+        self.log = setup.log
+        self.agvs = [Agv(i, home, home) for i, home in enumerate(setup.homes)]
+        self.executor = Executor(setup.graph, setup.motion, setup.homes)
+        self.costs = Costs(setup.graph, setup.motion)
+        self.planning = Planning(
+            setup.planner, setup.options, self.agvs, self.executor, setup.rules, self.costs, self.log
+        )
+        self._claims: dict[int, int] = {}
+        self._places: Mask = np.zeros(len(setup.graph.names), dtype=np.uint8)
+        self._places[[*setup.graph.bays, *setup.graph.chargers, *setup.homes]] = 1
+        self._now_s = 0.0
+        self._step = 0
+        self._commands: list[Command] = []
+
+    def step(self, step: int, states: Sequence[AgvState]) -> list[Command]:
+        """Decide what happens next.
+
+        Args:
+            step: planning step now.
+            states: what the plant saw, one for each AGV.
+
+        Returns:
+            Commands in the order in which they have to be carried out.
+        """
+        self._step, self._now_s = step, step * self._setup.motion.step_s
+        self._commands = []
+        finished = self.executor.update(states, step)
+        for s in states:
+            self.agvs[s.agv].soc = s.soc
+        for agv in finished:
+            self._complete(self.agvs[agv])
+        self._work_at_goals()
+        if self.garage.handover == "bay":
+            self._commands += self.garage.board(self._now_s)
+            self._commands += self.garage.call_forward()
+        self._send_charging()
+        self._dispatch()
+        self.planning.step(step, self.garage.blocked, self._no_rest)
+        self._commands += self.executor.grants(step)
+        return self._commands
+
+    # --- work at the goals ----------------------------------------------------------------------------------------
+
+    def _work_at_goals(self) -> None:
+        for agv in self.agvs:
+            a = self.executor.agvs[agv.number]
+            if agv.action is None and a.standing and a.acting_until < 0:
+                if agv.mode is AgvMode.RETURNING_WITH_CAR and agv.job and agv.job.destination < 0:
+                    self._choose_bay(agv, agv.job)
+                if a.last == agv.goal and agv.mode is not AgvMode.IDLE:
+                    if a.pending:
+                        self.executor.cancel(agv.number)
+                    self._begin(agv)
+
+    def _begin(self, agv: Agv) -> None:
+        """Start what has to be done where the AGV stands."""
+        job = agv.job
+        at_slot = agv.goal in self.garage.slot_of
+        if agv.mode is AgvMode.GOING_TO_COLLECT and job and job.ready_s <= self._now_s:
+            self._act(agv, Action.LIFT, self.rules.lift_slot if at_slot else self.rules.lift_bay)
+        elif agv.mode in (AgvMode.GOING_TO_PARK, AgvMode.RETURNING_WITH_CAR) and job and job.destination == agv.goal:
+            if self.garage.may_lower(job):
+                self.garage.lower_starts(job)
+                self._act(agv, Action.LOWER, self.rules.lower_slot if at_slot else self.rules.lower_bay)
+        elif agv.mode is AgvMode.GOING_TO_CHARGE:
+            self.log("charge_start", agv.number, "", agv.goal, {"soc": round(agv.soc, 4)})
+            self._set_mode(agv, AgvMode.CHARGING)
+            self._act(agv, Action.CHARGE, self.rules.charging_steps(agv.soc))
+        elif agv.mode in (AgvMode.RETURNING_HOME_EMPTY, AgvMode.RETURNING_HOME_MAINTENANCE):
+            self._set_mode(agv, AgvMode.IDLE)
+
+    def _act(self, agv: Agv, action: Action, steps: int) -> None:
+        agv.action = action
+        car = agv.job.car if agv.job else ""
+        self._commands.append(self.executor.act(agv.number, action, steps, self._step, car))
+        if steps == 0:
+            self._complete(agv)
+
+    def _complete(self, agv: Agv) -> None:
+        action, agv.action = agv.action, None
+        if action is Action.CHARGE:
+            self.log("charge_end", agv.number, "", agv.goal, {"soc": round(agv.soc, 4)})
+            self._release(agv)
+            self._set_mode(agv, AgvMode.RETURNING_HOME_MAINTENANCE)
+            self._set_goal(agv, agv.home)
+        elif action is Action.LIFT and agv.job:
+            self._lifted(agv, agv.job)
+        elif action is Action.LOWER and agv.job:
+            self._lowered(agv, agv.job)
+
+    def _lifted(self, agv: Agv, job: Job) -> None:
+        self.garage.lifted(job, self._now_s)
+        self.executor.agvs[agv.number].loaded = True
+        self.log("lift", agv.number, job.car, agv.goal, {"request": job.number})
+        self._release(agv)
+        if job.is_park:
+            self._set_mode(agv, AgvMode.GOING_TO_PARK)
+            self._set_goal(agv, job.destination)
+        else:
+            self._set_mode(agv, AgvMode.RETURNING_WITH_CAR)
+            self._choose_bay(agv, job)
+
+    def _choose_bay(self, agv: Agv, job: Job) -> None:
+        """Claim the bay that can take the car soonest; while all are claimed, the AGV waits where it lifted."""
+        if self.garage.handover == "home":
+            job.destination = agv.home
+            self._set_goal(agv, agv.home)
+            return
+        free = [b for b in self.graph.bays if b not in self._claims]
+        if not free:
+            return
+        here = self.executor.agvs[agv.number].last
+        # an occupied outbound place frees when its customer has got in: count it as half a lift
+        wait = self.rules.lift_bay // 2
+        job.destination = min(
+            free, key=lambda b: int(self.costs.to(b)[here]) + (wait if self.garage.bays[b].outbound else 0)
+        )
+        self._claims[job.destination] = agv.number
+        self._set_goal(agv, job.destination)
+
+    def _lowered(self, agv: Agv, job: Job) -> None:
+        self._commands += self.garage.lowered(job, self._now_s)
+        self.executor.agvs[agv.number].loaded = False
+        self.log("lower", agv.number, job.car, agv.goal, {"request": job.number})
+        if job.state == "served":
+            self.log("task_done", agv.number, job.car, agv.goal, {"request": job.number})
+        self._release(agv)
+        agv.tasks += 1
+        agv.job = None
+        if agv.goal == agv.home:
+            self._set_mode(agv, AgvMode.IDLE)
+        else:
+            self._set_mode(agv, AgvMode.RETURNING_HOME_EMPTY)
+            self._set_goal(agv, agv.home)
+
+    # --- assignment -----------------------------------------------------------------------------------------------
+
+    def _available(self, agv: Agv) -> bool:
+        if self.rules.assign_on_return:
+            return agv.mode in FREE_MODES and agv.action is None
+        return agv.mode is AgvMode.IDLE
+
+    def _send_charging(self) -> None:
+        for agv in self.agvs:
+            if agv.soc <= self.rules.charge_below and agv.mode in FREE_MODES and agv.action is None:
+                here = self.executor.agvs[agv.number].last
+                free = [c for c in self.graph.chargers if c not in self._claims]
+                if free:
+                    charger = min(free, key=lambda c: int(self.costs.to(c)[here]))
+                    self._claims[charger] = agv.number
+                    self._set_mode(agv, AgvMode.GOING_TO_CHARGE)
+                    self._set_goal(agv, charger)
+
+    def _dispatch(self) -> None:
+        if not self.garage.open:
+            return
+        at = {a.number: self.executor.agvs[a.number].last for a in self.agvs if self._available(a)}
+        if not at:
+            return
+        for offer in self._setup.dispatch(self.garage.open, at, self._claims, self.costs):
+            self._assign(offer.job, self.agvs[offer.agv], offer.origin)
+
+    def _assign(self, job: Job, agv: Agv, origin: int) -> None:
+        origin = agv.home if origin < 0 else origin
+        slot = -1
+        if job.is_park:
+            slot = choose_slot(self.garage, origin, job.request.zone, self.costs)
+            if slot < 0:
+                return
+        self.garage.assign(job, agv.number, self._now_s, origin, slot)
+        agv.job = job
+        if origin in self.garage.bays and self.garage.handover == "bay":
+            self._claims[origin] = agv.number
+        names = self.graph.names
+        detail = {"request": job.number, "origin": names[origin], "destination": names[slot] if slot >= 0 else ""}
+        self.log("task_assigned", agv.number, job.car, origin, detail)
+        self._set_mode(agv, AgvMode.GOING_TO_COLLECT)
+        self._set_goal(agv, origin)
+        a = self.executor.agvs[agv.number]
+        if a.standing and a.last == origin:
+            self._begin(agv)
+
+    def _set_goal(self, agv: Agv, goal: int) -> None:
+        if agv.goal != goal:
+            agv.goal = goal
+            self.planning.goal_changed()
+
+    def _set_mode(self, agv: Agv, mode: AgvMode) -> None:
+        if agv.mode is not mode:
+            self.log("agv_mode", agv.number, "", -1, {"from": agv.mode.value, "to": mode.value})
+            agv.mode = mode
+
+    def _release(self, agv: Agv) -> None:
+        if self._claims.get(agv.goal) == agv.number:
+            del self._claims[agv.goal]
+
+    # --- what planning has to know --------------------------------------------------------------------------------
+
+    def _no_rest(self) -> Mask:
+        mask = self._places.copy()
+        mask[list(self.garage.reserved)] = 1
+        return mask

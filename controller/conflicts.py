@@ -1,0 +1,207 @@
+"""The one checker of plans: which agents meet, and every reason why a plan can't be driven.
+
+It shares no code with the planners and the searches below them. Occupation of vertices is as documented at
+``controller.types.Path``: half-open intervals of steps.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+from controller.types import FOREVER, Conflict, Motion, Path, PlanAgent, PlanningProblem, PlanResult
+
+
+class _Visit(NamedTuple):
+    """A path's ``i``-th vertex belongs to its agent in the steps ``start`` to ``end`` (exclusive)."""
+
+    start: int
+    end: int
+    agv: int
+    path: Path
+    i: int
+
+
+class _Move(NamedTuple):
+    """An agent drives from ``tail`` to ``head``, where it arrives at ``step``."""
+
+    agv: int
+    tail: int
+    head: int
+    step: int
+
+
+def find_conflicts(paths: Iterable[Path], motion: Motion, until: int = FOREVER) -> list[Conflict]:
+    """All conflicts of a set of paths.
+
+    Args:
+        paths: one path per agent.
+        motion: says whether a vertex may be entered in the step in which it is left.
+        until: conflicts that begin at this step or later don't count.
+
+    Returns:
+        Conflicts by (step, vertex, agents). Two agents that overlap at several places have one conflict for each, so
+        head-on agents whose bodies need both vertices have a "swap" at either vertex. A ring of agents that each
+        enter the vertex that the next one leaves in the same step is one "cycle", named by the lowest AGV number,
+        the one ahead of it, and the vertex that it enters.
+    """
+    paths = list(paths)
+    found = [*_overlaps(paths, motion.following)]
+    if motion.following:
+        found += _rings(paths)
+    return sorted((c for c in found if c.step < until), key=lambda c: (c.step, c.vertex, c.agents))
+
+
+def ring_of(paths: Iterable[Path], conflict: Conflict) -> list[tuple[int, int, int]]:
+    """The moves of a "swap" or "cycle" conflict without overlap, as (agent, tail, head), from its first agent on."""
+    leaving = _leaving(paths)[conflict.step]
+    first = next(move for move in leaving.values() if move.agv == conflict.agents[0])
+    ring = [first]
+    while (move := leaving[ring[-1].head]) != first:
+        ring.append(move)
+    return [(move.agv, move.tail, move.head) for move in ring]
+
+
+def validate(problem: PlanningProblem, result: PlanResult) -> list[str]:
+    """Every reason why a plan may not be carried out, in words; empty if there is none.
+
+    Checked against the problem: who is planned, starts, neighbours, blocked vertices, durations, order of times, how
+    far paths reach, and conflicts with each other and with the fixed paths inside the window. Agents in
+    ``result.failed`` count as standing at their start for the whole window.
+    """
+    agents = {agent.agv: agent for agent in problem.agents}
+    reasons = [f"AGV {agv}: a path, but it was not to be planned" for agv in result.paths.keys() - agents.keys()]
+    reasons += [
+        f"AGV {agv}: neither a path nor named as failed"
+        for agv in sorted(agents.keys() - result.paths.keys() - result.failed.keys())
+    ]
+    for agv in sorted(result.paths.keys() & agents.keys()):
+        reasons += [f"AGV {agv}: {reason}" for reason in _path_faults(problem, agents[agv], result.paths[agv])]
+    if reasons:
+        return reasons
+    standing = [Path(agv, (agents[agv].vertex,), (0,), (), problem.window_steps) for agv in result.failed]
+    paths = [*problem.fixed, *result.paths.values(), *standing]
+    fixed = {path.agv for path in problem.fixed}
+    return [
+        f"AGVs {c.agents[0]} and {c.agents[1]}: {c.kind} conflict at vertex {c.vertex}, step {c.step}"
+        for c in find_conflicts(paths, problem.motion, problem.window_steps)
+        if not fixed.issuperset(c.agents)
+    ]
+
+
+def _visits(path: Path, following: bool) -> Iterator[_Visit]:
+    last = len(path.vertices) - 1
+    for i in range(last + 1):
+        start = 0 if i == 0 else (path.arrive[i] if following else path.depart[i - 1])
+        yield _Visit(start, path.until if i == last else path.arrive[i + 1], path.agv, path, i)
+
+
+def _overlaps(paths: list[Path], following: bool) -> Iterator[Conflict]:
+    """Sweep each vertex's visits in order of time."""
+    by_vertex: defaultdict[int, list[_Visit]] = defaultdict(list)
+    for path in paths:
+        for visit in _visits(path, following):
+            by_vertex[path.vertices[visit.i]].append(visit)
+    for vertex, visits in by_vertex.items():
+        visits.sort(key=lambda visit: visit[:3])
+        present: list[_Visit] = []
+        for visit in visits:
+            present = [other for other in present if other.end > visit.start]
+            if visit.start < visit.end:
+                for other in present:
+                    if other.agv != visit.agv:
+                        yield _overlap(vertex, other, visit)
+                present.append(visit)
+
+
+def _overlap(vertex: int, first: _Visit, second: _Visit) -> Conflict:
+    """Name the conflict of two visits that overlap; ``first`` starts no later."""
+    step = second.start
+    for a, b in ((first, second), (second, first)):
+        if _head_on(a, b):
+            return Conflict("swap", (b.agv, a.agv), vertex, step)
+    path, i = first.path, first.i
+    if i < len(path.depart) and path.depart[i] < step:
+        return Conflict("following", (first.agv, second.agv), vertex, step)
+    return Conflict("vertex", (min(first.agv, second.agv), max(first.agv, second.agv)), vertex, step)
+
+
+def _head_on(a: _Visit, b: _Visit) -> bool:
+    """Whether ``a`` drives away from this vertex over the edge on which ``b`` comes, at the same time."""
+    if a.i >= len(a.path.depart) or b.i == 0 or a.path.vertices[a.i + 1] != b.path.vertices[b.i - 1]:
+        return False
+    return a.path.depart[a.i] < b.path.arrive[b.i] and b.path.depart[b.i - 1] < a.path.arrive[a.i + 1]
+
+
+def _leaving(paths: Iterable[Path]) -> defaultdict[int, dict[int, _Move]]:
+    """Moves by step of arrival and by the vertex left."""
+    moves: defaultdict[int, dict[int, _Move]] = defaultdict(dict)
+    for p in paths:
+        for i in range(1, len(p.vertices)):
+            moves[p.arrive[i]][p.vertices[i - 1]] = _Move(p.agv, p.vertices[i - 1], p.vertices[i], p.arrive[i])
+    return moves
+
+
+def _rings(paths: list[Path]) -> Iterator[Conflict]:
+    """Swaps and longer rings of agents that all arrive in one step, each where the next one left."""
+    for step, leaving in _leaving(paths).items():
+        seen: set[int] = set()
+        for start in leaving:
+            chain: list[_Move] = []
+            vertex = start
+            while vertex in leaving and vertex not in seen:
+                seen.add(vertex)
+                chain.append(leaving[vertex])
+                vertex = leaving[vertex].head
+            ring = [move.tail for move in chain]
+            if vertex in ring:
+                yield _ring_conflict(chain[ring.index(vertex) :], step)
+
+
+def _ring_conflict(ring: list[_Move], step: int) -> Conflict:
+    low = min(range(len(ring)), key=lambda k: ring[k].agv)
+    first, ahead = ring[low], ring[(low + 1) % len(ring)]
+    return Conflict("swap" if len(ring) == 2 else "cycle", (first.agv, ahead.agv), first.head, step)
+
+
+def _path_faults(problem: PlanningProblem, agent: PlanAgent, path: Path) -> Iterator[str]:
+    """What is wrong with one path by itself."""
+    v = path.vertices
+    if path.agv != agent.agv:
+        yield f"its path is that of AGV {path.agv}"
+    if not v or len(path.arrive) != len(v) or len(path.depart) != len(v) - 1:
+        yield "vertices, arrivals and departures don't fit in number"
+        return
+    if v[0] != agent.vertex:
+        yield f"starts at vertex {v[0]} instead of {agent.vertex}"
+        return
+    if path.arrive[0] != 0:
+        yield f"arrives at its start at step {path.arrive[0]} instead of 0"
+    edge, ready = agent.in_edge, agent.ready_step
+    for i in range(len(v) - 1):
+        following_edge = problem.graph.edge_index.get((v[i], v[i + 1]))
+        if following_edge is None:
+            yield f"drives from vertex {v[i]} to {v[i + 1]}, which are not neighbours"
+            return
+        yield from _move_faults(problem, agent, path, i, ready, edge, following_edge)
+        edge, ready = following_edge, path.arrive[i + 1]
+    if path.until < min(problem.window_steps, FOREVER) or path.until < path.arrive[-1]:
+        yield f"its last vertex is kept until step {path.until} only"
+    if problem.window_steps >= FOREVER and v[-1] != agent.goal:
+        yield f"ends at vertex {v[-1]} instead of its goal {agent.goal}"
+
+
+def _move_faults(
+    problem: PlanningProblem, agent: PlanAgent, path: Path, i: int, ready: int, edge_in: int, edge: int
+) -> Iterator[str]:
+    """What is wrong with the move from the i-th to the next vertex of a path."""
+    u, w, depart = path.vertices[i], path.vertices[i + 1], path.depart[i]
+    earliest = ready + problem.motion.turn(problem.graph, edge_in, edge, agent.loaded)
+    if depart < earliest:
+        yield f"leaves vertex {u} at step {depart}, before it is ready at {earliest}"
+    steps = int(problem.motion.edge_steps[int(agent.loaded), edge])
+    if path.arrive[i + 1] - depart != steps:
+        yield f"drives from vertex {u} to {w} in {path.arrive[i + 1] - depart} steps instead of {steps}"
+    if problem.blocked[w] and w not in (agent.goal, agent.vertex):
+        yield f"drives into the blocked vertex {w}"

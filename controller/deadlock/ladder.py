@@ -1,0 +1,316 @@
+"""The ladder: how a deadlock is resolved, stage by stage, until there is progress.
+
+Stages, after the thesis (2025, III-4), each over the reservations of everybody outside the group:
+
+1. *partial CBS*: the group's conflicts are searched with bounded effort; every member gets a path to its goal.
+2. *leader*: the member of highest priority goes on while the others keep their places.
+3. *pull-over*: a leader goes on and the others clear the way, to their goals or to any place where they are in nobody's
+   way; every member is tried as the leader, in order of priority.
+4. *widen*: whoever cut off the last possibility joins the group, and the stages are tried again.
+
+A resolution is a plan whose leader reaches its goal. It is carried out to its end before its members are planned for
+again, so that a window cannot undo it; when it makes no progress for ``patience_steps`` it counts as failed and the
+ladder goes on with another leader. The thesis's own program lacks this demand for progress.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from controller.deadlock.waits import Progress, WaitGraph
+from controller.executor import Executor
+from controller.fleet import Agv
+from controller.planners.cbs import CbsLimits, cbs
+from controller.search.distances import Distances
+from controller.search.reservations import ReservationTable
+from controller.search.sipp import PathSearch
+from controller.search.space import Space
+from controller.types import FOREVER, Path, PlanAgent, PlanningProblem
+from controller.visits import retime
+
+Log = Callable[[str, int, str, int, dict[str, object]], None]
+
+
+@dataclass(frozen=True, slots=True)
+class LadderLimits:
+    """Limits of deadlock resolution.
+
+    Attributes:
+        patience_steps: a ring of waits must last so long to count as a deadlock.
+        stuck_steps: an AGV that came no nearer to its goal for so long is stuck.
+        group: partial CBS handles at most so many AGVs.
+        cbs: its limits.
+        widen: at most so many AGVs may join a group.
+    """
+
+    patience_steps: int = 20
+    stuck_steps: int = 60
+    group: int = 5
+    cbs: CbsLimits = field(default_factory=CbsLimits)
+    widen: int = 12
+
+
+@dataclass(slots=True)
+class Deadlock:
+    """A deadlock that is being resolved.
+
+    Attributes:
+        number: count of deadlocks in the run.
+        members: AGVs found in it.
+        cause: "ring", "idle" or "stuck".
+        since: step at which the waiting began.
+        stage: the stage whose plan is being carried out.
+        leader: the AGV whose arrival is the progress.
+        locked: AGVs that still carry the plan out.
+        moved: last step at which one of them made headway.
+        trail: granted vertices of the locked AGVs when last looked at.
+        failures: resolutions that made no progress.
+    """
+
+    number: int
+    members: tuple[int, ...]
+    cause: str
+    since: int
+    stage: str = ""
+    leader: int = -1
+    locked: set[int] = field(default_factory=set)
+    moved: int = 0
+    granted: int = 0
+    failures: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Resolution:
+    """A plan for a group, and the stage that found it."""
+
+    stage: str
+    leader: int
+    paths: Mapping[int, Path]
+
+
+class Ladder:
+    """Finds deadlocks in the wait-for graph and has them resolved.
+
+    Args:
+        limits: see ``LadderLimits``.
+        executor: takes the plans.
+        agvs: the fleet, read only.
+        progress: since when each AGV has come no nearer to its goal.
+        log: takes events.
+    """
+
+    def __init__(
+        self, limits: LadderLimits, executor: Executor, agvs: Sequence[Agv], progress: Progress, log: Log
+    ) -> None:
+        self._limits = limits
+        self._executor = executor
+        self._agvs = agvs
+        self._progress = progress
+        self._log = log
+        space = Space(executor.graph, executor.motion)
+        self._search = PathSearch(Distances(space))
+        self._table = ReservationTable(len(executor.graph.names), executor.motion.following)
+        self._open: list[Deadlock] = []
+        self._seen: dict[tuple[int, ...], int] = {}
+        self._count = 0
+
+    @property
+    def locked(self) -> set[int]:
+        """AGVs that carry out a resolution and must not be planned for."""
+        return {n for d in self._open for n in d.locked}
+
+    def step(self, step: int, waits: WaitGraph, problem: PlanningProblem) -> None:
+        """Look after running resolutions, find new deadlocks and resolve them.
+
+        Args:
+            step: now.
+            waits: who waits for whom.
+            problem: the planning problem of this step (blocked vertices, agents that may be planned for).
+        """
+        for deadlock in list(self._open):
+            self._supervise(deadlock, step)
+        locked = self.locked
+        for members, cause in self._candidates(step, waits):
+            if not locked.intersection(members):
+                deadlock = self._found(members, cause, step, waits)
+                self._resolve(deadlock, step, problem)
+                locked = self.locked
+
+    # --- finding --------------------------------------------------------------------------------------------------
+
+    def _candidates(self, step: int, waits: WaitGraph) -> list[tuple[tuple[int, ...], str]]:
+        """Groups that have stopped for long enough, with the cause."""
+        patterns = [(ring, "ring") for ring in waits.rings] + [(chain, "idle") for chain in waits.blocked_by_idle]
+        self._seen = {members: self._seen.get(members, step) for members, _ in patterns}
+        found = [(m, cause) for m, cause in patterns if step - self._seen[m] >= self._limits.patience_steps]
+        taken = {n for members, _ in found for n in members}
+        for n in self._progress.stuck(step, self._limits.stuck_steps):
+            if n not in taken:
+                found.append((self._waiting_line(n, waits), "stuck"))
+        return found
+
+    @staticmethod
+    def _waiting_line(first: int, waits: WaitGraph) -> tuple[int, ...]:
+        line = [first]
+        while line[-1] in waits.edges and waits.edges[line[-1]] not in line:
+            line.append(waits.edges[line[-1]])
+        return tuple(line)
+
+    def _found(self, members: tuple[int, ...], cause: str, step: int, waits: WaitGraph) -> Deadlock:
+        since = self._seen.get(members, step - self._limits.stuck_steps)
+        deadlock = Deadlock(self._count, members, cause, since)
+        self._count += 1
+        wants = {n: self._executor.graph.names[waits.vertices[n]] for n in members if n in waits.vertices}
+        waits_for = {n: waits.edges[n] for n in members if n in waits.edges}
+        vertex = waits.vertices.get(members[0], -1)
+        detail = {"deadlock": deadlock.number, "members": members, "cause": cause, "waits": waits_for, "wants": wants}
+        self._log("deadlock_found", members[0], "", vertex, detail)
+        return deadlock
+
+    # --- carrying out ---------------------------------------------------------------------------------------------
+
+    def _supervise(self, deadlock: Deadlock, step: int) -> None:
+        """Unlock who is through; close the deadlock when its leader is there; give up what makes no headway."""
+        ex = self._executor
+        granted = sum(ex.agvs[n].granted for n in deadlock.members)
+        busy = any(not ex.agvs[n].standing for n in deadlock.locked)
+        if granted != deadlock.granted or busy:
+            deadlock.granted, deadlock.moved = granted, step
+        deadlock.locked = {n for n in deadlock.locked if ex.agvs[n].pending}
+        if deadlock.leader not in deadlock.locked and not deadlock.locked:
+            self._close(deadlock, step)
+        elif step - deadlock.moved >= 3 * self._limits.patience_steps:
+            self._failed(deadlock, deadlock.stage, "the plan made no progress")
+            self._open.remove(deadlock)
+
+    def _close(self, deadlock: Deadlock, step: int) -> None:
+        self._open.remove(deadlock)
+        detail = {
+            "deadlock": deadlock.number,
+            "members": deadlock.members,
+            "cause": deadlock.cause,
+            "stage": deadlock.stage,
+            "cost_s": (step - deadlock.since) * self._executor.motion.step_s,
+        }
+        self._log("deadlock_resolved", deadlock.leader, "", -1, detail)
+
+    def _failed(self, deadlock: Deadlock, stage: str, reason: str) -> None:
+        detail = {"deadlock": deadlock.number, "stage": stage, "reason": reason}
+        self._log("stage_failed", deadlock.members[0], "", -1, detail)
+
+    # --- resolving ------------------------------------------------------------------------------------------------
+
+    def _resolve(self, deadlock: Deadlock, step: int, problem: PlanningProblem) -> None:
+        agents = {a.agv: a for a in problem.agents}
+        group = [n for n in deadlock.members if n in agents]
+        while group:
+            outside = self._outside(group, step, problem)
+            whole = replace(problem, fixed=tuple(outside), window_steps=FOREVER)
+            resolution, blockers = self._stages(deadlock, [agents[n] for n in group], whole)
+            if resolution and self._take(deadlock, resolution, outside, step):
+                return
+            joining = sorted((blockers & agents.keys()) - set(group))
+            if not joining or len(group) + len(joining) > self._limits.widen:
+                joining = [n for n in agents if n not in group] if len(group) < len(agents) else []
+            if not joining:
+                self._failed(deadlock, "widen", "nobody else can join")
+                return
+            group += joining
+
+    def _outside(self, group: Iterable[int], step: int, problem: PlanningProblem) -> list[Path]:
+        """Paths of everybody outside the group, as the accepted orders have them."""
+        timed = retime(self._executor, step)
+        inside = set(group)
+        trails = [p for p in problem.fixed if p.agv not in timed]
+        return trails + [path for n, path in timed.items() if n not in inside]
+
+    def _stages(
+        self, deadlock: Deadlock, group: list[PlanAgent], problem: PlanningProblem
+    ) -> tuple[Resolution | None, set[int]]:
+        blockers: set[int] = set()
+        by_priority = sorted(group, key=lambda a: (-a.priority, a.agv))
+        movers = [a for a in by_priority if a.goal != a.vertex]
+        if 2 <= len(group) <= self._limits.group:
+            result = cbs(replace(problem, agents=tuple(group)), self._limits.cbs)
+            if len(result.paths) == len(group):
+                return Resolution("partial_cbs", movers[0].agv if movers else group[0].agv, result.paths), blockers
+            self._failed(deadlock, "partial_cbs", result.status.value)
+        self._search.begin(problem)
+        for stage, attempt in (("leader", self._leader), ("pull_over", self._pull_over)):
+            for leader in movers:
+                paths = attempt(leader, by_priority, problem, blockers)
+                if paths:
+                    return Resolution(stage, leader.agv, paths), blockers
+            self._failed(deadlock, stage, "no way for any leader")
+        return None, blockers
+
+    def _leader(
+        self, leader: PlanAgent, group: list[PlanAgent], problem: PlanningProblem, blockers: set[int]
+    ) -> dict[int, Path] | None:
+        """The leader goes on, the others keep their places."""
+        self._fill(problem)
+        for agent in group:
+            if agent is not leader:
+                self._table.hold(agent.vertex, 0, FOREVER, agent.agv)
+        path = self._search.find_path(problem, leader, self._table)
+        if path is None:
+            blockers.add(self._search.blocker)
+            return None
+        return {leader.agv: path, **{a.agv: Path(a.agv, (a.vertex,), (0,), ()) for a in group if a is not leader}}
+
+    def _pull_over(
+        self, leader: PlanAgent, group: list[PlanAgent], problem: PlanningProblem, blockers: set[int]
+    ) -> dict[int, Path] | None:
+        """The leader goes on, the others clear its way: to their goals if they can, else out of the way."""
+        order = [leader] + [a for a in group if a is not leader]
+        for _ in range(2 * len(group)):
+            paths, failed = self._plan_in_order(order, problem)
+            if failed is None:
+                return paths
+            blockers.add(self._search.blocker)
+            if failed is leader or order.index(failed) == 1:
+                return None
+            order.remove(failed)
+            order.insert(1, failed)
+        return None
+
+    def _plan_in_order(
+        self, order: list[PlanAgent], problem: PlanningProblem
+    ) -> tuple[dict[int, Path], PlanAgent | None]:
+        self._fill(problem)
+        motion, graph = problem.motion, problem.graph
+        for a in order:
+            out = range(int(graph.first_out[a.vertex]), int(graph.first_out[a.vertex + 1]))
+            least = min((motion.turn(graph, a.in_edge, e, a.loaded) + int(motion.edge_steps[int(a.loaded), e])
+                         for e in out), default=1)  # fmt: skip
+            self._table.hold(a.vertex, 0, a.ready_step + least, a.agv)
+        paths: dict[int, Path] = {}
+        for a in order:
+            self._table.remove(a.agv)
+            path = self._search.find_path(problem, a, self._table)
+            if path is None and a is not order[0]:
+                path = self._search.find_refuge(problem, a, self._table)
+            if path is None:
+                return paths, a
+            paths[a.agv] = path
+            self._table.add(path)
+        return paths, None
+
+    def _fill(self, problem: PlanningProblem) -> None:
+        self._table.clear()
+        for path in problem.fixed:
+            self._table.add(path)
+
+    def _take(self, deadlock: Deadlock, resolution: Resolution, outside: Sequence[Path], step: int) -> bool:
+        ex = self._executor
+        keep = {p.agv: p for p in outside if p.agv < len(ex.agvs)}
+        refusal = ex.accept({**keep, **resolution.paths})
+        if refusal:
+            self._failed(deadlock, resolution.stage, refusal.reason)
+            return False
+        deadlock.stage, deadlock.leader = resolution.stage, resolution.leader
+        deadlock.locked = {n for n, path in resolution.paths.items() if len(path.vertices) > 1}
+        deadlock.moved, deadlock.granted = step, 0
+        self._open.append(deadlock)
+        return True

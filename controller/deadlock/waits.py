@@ -1,0 +1,133 @@
+"""Who really waits for whom.
+
+An AGV waits when it stands, has somewhere to go, and the next vertex of its way belongs to another AGV or has been
+promised to another one first. That gives a wait-for graph of what happens, not of what was planned. Three patterns stop
+the garage, and all are found here:
+
+- a *ring*: a strongly connected component of two or more (Tarjan, as networkx implements it);
+- a *chain that ends at an AGV without anything to do*: it will not move by itself;
+- an AGV that is not kept waiting but has come no nearer to its goal for long (*livelock*): see ``Progress``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import networkx as nx
+
+from controller.costs import Costs
+from controller.executor import Executor
+from controller.fleet import Agv
+
+
+@dataclass(frozen=True, slots=True)
+class WaitGraph:
+    """A wait-for graph at one step.
+
+    Attributes:
+        edges: for each waiting AGV the one it waits for.
+        vertices: for each waiting AGV the vertex it wants.
+        rings: strongly connected components of two or more, members in ascending order.
+        blocked_by_idle: chains (first the AGV without anything to do) that end at an AGV which will not move.
+    """
+
+    edges: Mapping[int, int]
+    vertices: Mapping[int, int]
+    rings: tuple[tuple[int, ...], ...]
+    blocked_by_idle: tuple[tuple[int, ...], ...]
+
+
+def wanted_vertex(executor: Executor, agv: Agv, costs: Costs) -> int:
+    """The next vertex of an AGV's way: as planned, or else on the shortest way to its goal; -1 if it wants none."""
+    a = executor.agvs[agv.number]
+    if a.pending:
+        return a.pending[0]
+    if agv.goal == a.last:
+        return -1
+    to = costs.to(agv.goal)
+    graph, steps = executor.graph, executor.motion.edge_steps[0]
+    options = [(int(steps[graph.edge_index[a.last, v]] + to[v]), v) for v in graph.successors[a.last]]
+    return min(options)[1] if options else -1
+
+
+def wait_graph(executor: Executor, agvs: Sequence[Agv], costs: Costs) -> WaitGraph:
+    """The wait-for graph now.
+
+    Args:
+        executor: owners and orders of the vertices.
+        agvs: the fleet.
+        costs: tells where an AGV without a plan wants to go.
+
+    Returns:
+        Each AGV waits for at most one other, as it wants one vertex at a time.
+    """
+    edges: dict[int, int] = {}
+    vertices: dict[int, int] = {}
+    for agv in agvs:
+        a = executor.agvs[agv.number]
+        if not a.standing or a.acting_until >= 0 or agv.action is not None:
+            continue
+        w = wanted_vertex(executor, agv, costs)
+        if w < 0:
+            continue
+        other = executor.owner[w]
+        if other in (-1, agv.number):
+            queue = executor.order.get(w)
+            other = queue[0] if queue and agv.number in queue else -1
+        if other not in (-1, agv.number):
+            edges[agv.number] = other
+            vertices[agv.number] = w
+    return WaitGraph(edges, vertices, rings(edges), _behind_idle(edges, executor, agvs))
+
+
+def rings(edges: Mapping[int, int]) -> tuple[tuple[int, ...], ...]:
+    """Strongly connected components of two or more agents in a wait-for graph."""
+    g: nx.DiGraph[int] = nx.DiGraph(edges.items())
+    return tuple(sorted(tuple(sorted(c)) for c in nx.strongly_connected_components(g) if len(c) > 1))
+
+
+def _behind_idle(edges: Mapping[int, int], executor: Executor, agvs: Sequence[Agv]) -> tuple[tuple[int, ...], ...]:
+    chains: dict[int, list[int]] = {}
+    for first in edges:
+        seen, end = {first}, first
+        while end in edges and edges[end] not in seen:
+            end = edges[end]
+            seen.add(end)
+        a = executor.agvs[end]
+        if end not in edges and a.standing and a.acting_until < 0 and not a.pending and agvs[end].goal == a.last:
+            chains.setdefault(end, [end]).append(first)
+    return tuple(tuple(chain) for _, chain in sorted(chains.items()))
+
+
+@dataclass(slots=True)
+class _Best:
+    goal: int
+    cost: int
+    since: int
+
+
+class Progress:
+    """Since when each AGV has come no nearer to its goal.
+
+    Driving to and fro is no progress: the least cost reached since the goal was set counts.
+    """
+
+    def __init__(self, executor: Executor, agvs: Sequence[Agv], costs: Costs) -> None:
+        self._executor = executor
+        self._agvs = agvs
+        self._costs = costs
+        self._best = {agv.number: _Best(agv.goal, 0, 0) for agv in agvs}
+
+    def update(self, step: int) -> None:
+        """Take note of where the AGVs are."""
+        for agv in self._agvs:
+            best, a = self._best[agv.number], self._executor.agvs[agv.number]
+            cost = int(self._costs.to(agv.goal)[a.last])
+            acting = a.acting_until >= 0 or agv.action is not None or agv.goal == a.last
+            if acting or agv.goal != best.goal or cost < best.cost:
+                best.goal, best.cost, best.since = agv.goal, cost, step
+
+    def stuck(self, step: int, steps: int) -> list[int]:
+        """AGVs that came no nearer to their goal in so many steps."""
+        return [n for n, best in self._best.items() if step - best.since >= steps]

@@ -1,0 +1,305 @@
+"""The garage's books: where every car is, what every customer wants, which slots, bays and places are taken.
+
+It knows vertices but nothing of AGVs' ways. Times are seconds. A request becomes a ``Job``; its life is told by the
+stamps of the job, and ``Garage.audit`` checks that nothing and nobody got lost.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import nan
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.types import CallForward, Command, DriveOff, HandOver, Request, RequestKind
+from sumo_nets.graph import Graph
+
+JobState = Literal["waiting", "served", "refused"]
+
+
+@dataclass(slots=True, eq=False)
+class Job:
+    """One request and what became of it.
+
+    Attributes:
+        number: position among all requests of the run.
+        request: what was asked.
+        handling_s: how long the customer needs at the bay.
+        state: waiting until it is served or refused.
+        reason: why it was refused.
+        agv: AGV that serves it, -1 before assignment.
+        origin, destination: vertices, -1 until known.
+        requested_s, at_bay_s, ready_s, assigned_s, lifted_s, delivered_s, done_s: when, NaN until then.
+    """
+
+    number: int
+    request: Request
+    handling_s: float
+    state: JobState = "waiting"
+    reason: str = ""
+    agv: int = -1
+    origin: int = -1
+    destination: int = -1
+    requested_s: float = nan
+    at_bay_s: float = nan
+    ready_s: float = nan
+    assigned_s: float = nan
+    lifted_s: float = nan
+    delivered_s: float = nan
+    done_s: float = nan
+
+    @property
+    def is_park(self) -> bool:
+        """A car comes in (otherwise it goes out)."""
+        return self.request.kind is RequestKind.PARK
+
+    @property
+    def car(self) -> str:
+        """Name of the car."""
+        return self.request.car
+
+
+@dataclass(slots=True)
+class BayPlaces:
+    """The two places of a bay on the customers' side: None is free."""
+
+    inbound: Job | None = None
+    outbound: Job | None = None
+
+
+class Garage:
+    """Books of one garage.
+
+    Args:
+        graph: the garage.
+        handover: "bay" (customers come through the street) or "home" (cars stand ready at each AGV's home).
+        handling: seeded generator of the customers' handling times at the bay.
+        handling_median_s, handling_sigma: the lognormal distribution they are drawn from.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        handover: Literal["bay", "home"],
+        handling: np.random.Generator,
+        handling_median_s: float = 60.0,
+        handling_sigma: float = 0.5,
+    ) -> None:
+        self.graph = graph
+        self.handover = handover
+        self._handling = handling
+        self._handling_mu = float(np.log(handling_median_s)) if handling_median_s > 0 else None
+        self._handling_sigma = handling_sigma
+        self.jobs: list[Job] = []
+        self.open: list[Job] = []
+        self.queue: deque[Job] = deque()
+        self.bays = {bay: BayPlaces() for bay in graph.bays}
+        self.parked: dict[str, int] = {}
+        self.slot_of: dict[int, str] = dict.fromkeys(graph.slots, "")
+        self.reserved: dict[int, int] = {}
+        self.blocked: NDArray[np.uint8] = np.zeros(len(graph.names), dtype=np.uint8)
+        self.arrived = 0
+        self.left = 0
+        self.initial = 0
+        self.unfinished = 0
+        self._promised = 0
+        self._early: dict[str, list[Job]] = {}
+        self._boarding: list[Job] = []
+
+    # --- requests -------------------------------------------------------------------------------------------------
+
+    def place_initial(self, cars: Sequence[str], rng: np.random.Generator) -> None:
+        """Park cars before the run starts, in slots drawn at random.
+
+        Raises:
+            ValueError: more cars than slots.
+        """
+        if len(cars) > len(self.graph.slots):
+            raise ValueError(f"{len(cars)} cars for {len(self.graph.slots)} slots")
+        for car, slot in zip(cars, rng.permutation(self.graph.slots)[: len(cars)], strict=True):
+            self._put(car, int(slot))
+        self.initial = len(cars)
+        self._promised = len(cars)
+
+    def request(self, request: Request, now_s: float) -> Job:
+        """Enter a request in the books; it may be refused at once."""
+        job = Job(len(self.jobs), request, self._draw_handling(), requested_s=now_s)
+        self.jobs.append(job)
+        self.unfinished += 1
+        if job.is_park:
+            self._request_park(job, now_s)
+        else:
+            self._request_retrieve(job, now_s)
+        return job
+
+    def _request_park(self, job: Job, now_s: float) -> None:
+        if self._promised >= len(self.graph.slots):
+            self._refuse(job, "garage full", now_s)
+            return
+        self._promised += 1
+        self.arrived += 1
+        self._early.setdefault(job.car, [])
+        if self.handover == "home":
+            job.at_bay_s = job.ready_s = now_s
+            self.open.append(job)
+        else:
+            self.queue.append(job)
+
+    def _request_retrieve(self, job: Job, now_s: float) -> None:
+        if job.car in self.parked:
+            self._open_retrieve(job, now_s)
+        elif job.car in self._early:
+            self._early[job.car].append(job)
+        else:
+            self._refuse(job, "car is not in the garage", now_s)
+
+    def _open_retrieve(self, job: Job, now_s: float) -> None:
+        job.ready_s = now_s
+        job.origin = self.parked[job.car]
+        self.open.append(job)
+
+    def _refuse(self, job: Job, reason: str, now_s: float) -> None:
+        job.state, job.reason, job.done_s = "refused", reason, now_s
+        self.unfinished -= 1
+
+    def _draw_handling(self) -> float:
+        # drawn for every request in the order of requests, so that it does not depend on the controller
+        z = float(self._handling.standard_normal())
+        return 0.0 if self._handling_mu is None else float(np.exp(self._handling_mu + self._handling_sigma * z))
+
+    # --- customers' side of the bays ------------------------------------------------------------------------------
+
+    def call_forward(self, closed: frozenset[int] = frozenset()) -> list[Command]:
+        """Send waiting customers, in their order, to bays whose inbound place is free."""
+        commands: list[Command] = []
+        for bay, places in self.bays.items():
+            if not self.queue:
+                break
+            if places.inbound is None and bay not in closed:
+                job = self.queue.popleft()
+                job.origin = bay
+                places.inbound = job
+                commands.append(CallForward(job.car, bay))
+        return commands
+
+    def car_at_bay(self, bay: int, now_s: float) -> Job:
+        """A customer's car has stopped at the inbound place; the job is open from now on."""
+        job = self.bays[bay].inbound
+        if job is None:
+            raise RuntimeError(f"a car came to bay {bay} that nobody called")
+        job.at_bay_s = now_s
+        job.ready_s = now_s + job.handling_s
+        self.open.append(job)
+        return job
+
+    def board(self, now_s: float) -> list[Command]:
+        """Let those customers drive off who have got into their cars."""
+        gone = [j for j in self._boarding if j.delivered_s + j.handling_s <= now_s]
+        for job in gone:
+            self._boarding.remove(job)
+        return [DriveOff(j.car, j.destination) for j in gone]
+
+    def car_left(self, bay: int, now_s: float) -> Job:
+        """A retrieved car has driven off: its request is served and the outbound place is free."""
+        job = self.bays[bay].outbound
+        if job is None:
+            raise RuntimeError(f"a car left bay {bay} where none stood")
+        self.bays[bay].outbound = None
+        self._leave(job, now_s)
+        return job
+
+    # --- AGVs' side -----------------------------------------------------------------------------------------------
+
+    def assign(self, job: Job, agv: int, now_s: float, origin: int, slot: int = -1) -> None:
+        """An AGV takes an open job; a parking job reserves its slot."""
+        self.open.remove(job)
+        job.agv, job.assigned_s, job.origin = agv, now_s, origin
+        if job.is_park:
+            job.destination = slot
+            self.reserved[slot] = agv
+
+    def unassign(self, job: Job) -> None:
+        """Give a job back that its AGV has not lifted yet."""
+        if job.is_park:
+            self.reserved.pop(job.destination, None)
+        job.agv, job.destination, job.assigned_s = -1, -1, nan
+        self.open.insert(0, job)
+
+    def lifted(self, job: Job, now_s: float) -> None:
+        """The car is on the AGV."""
+        job.lifted_s = now_s
+        if job.is_park:
+            if self.handover == "bay":
+                self.bays[job.origin].inbound = None
+        else:
+            slot = self.parked.pop(job.car)
+            self.slot_of[slot] = ""
+            self.blocked[slot] = 0
+
+    def may_lower(self, job: Job) -> bool:
+        """The place where the car is to be put down is free."""
+        return job.is_park or self.handover == "home" or self.bays[job.destination].outbound is None
+
+    def lower_starts(self, job: Job) -> None:
+        """Keep the outbound place for the car that is being lowered."""
+        if not job.is_park and self.handover == "bay":
+            self.bays[job.destination].outbound = job
+
+    def lowered(self, job: Job, now_s: float) -> list[Command]:
+        """The car is down: in its slot, or at the bay where its customer gets in."""
+        job.delivered_s = now_s
+        if job.is_park:
+            self.reserved.pop(job.destination)
+            self._put(job.car, job.destination)
+            self._serve(job, now_s)
+            for early in self._early.pop(job.car, ()):
+                self._open_retrieve(early, now_s)
+            return []
+        if self.handover == "home":
+            self._leave(job, now_s)
+            return []
+        self._boarding.append(job)
+        return [HandOver(job.car, job.destination)]
+
+    def _put(self, car: str, slot: int) -> None:
+        self.parked[car] = slot
+        self.slot_of[slot] = car
+        self.blocked[slot] = 1
+
+    def _leave(self, job: Job, now_s: float) -> None:
+        self.left += 1
+        self._promised -= 1
+        self._serve(job, now_s)
+
+    def _serve(self, job: Job, now_s: float) -> None:
+        job.state, job.done_s = "served", now_s
+        self.unfinished -= 1
+
+    def free_slots(self) -> Iterable[int]:
+        """Slots that are neither taken nor reserved."""
+        return (v for v, car in self.slot_of.items() if not car and v not in self.reserved)
+
+    def in_transit(self) -> int:
+        """Cars that are in the garage's care but not parked: in the street, at bays or on AGVs."""
+        coming = sum(1 for j in self.jobs if j.is_park and j.state == "waiting")
+        going = sum(1 for j in self.jobs if not j.is_park and j.state == "waiting" and j.lifted_s == j.lifted_s)
+        return coming + going
+
+    def audit(self) -> list[str]:
+        """What does not add up; empty when every car and request is accounted for."""
+        problems = []
+        if self.initial + self.arrived != len(self.parked) + self.left + self.in_transit():
+            problems.append(
+                f"cars: {self.initial} at the start + {self.arrived} arrived != {len(self.parked)} parked"
+                f" + {self.left} left + {self.in_transit()} in transit"
+            )
+        if sorted(self.parked.values()) != sorted(v for v, car in self.slot_of.items() if car):
+            problems.append("slots and parked cars disagree")
+        states = [j.state for j in self.jobs]
+        if self.unfinished != states.count("waiting"):
+            problems.append("requests: the count of unfinished ones is off")
+        return problems

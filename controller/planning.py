@@ -1,0 +1,202 @@
+"""When to plan, what to plan, and the window: the slow clock of the ACS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.costs import Costs
+from controller.deadlock.ladder import Ladder, LadderLimits
+from controller.deadlock.waits import Progress, WaitGraph, wait_graph
+from controller.executor import Executor
+from controller.fleet import Agv, priority
+from controller.rules import Rules
+from controller.types import FOREVER, Counters, Path, PlanAgent, Planner, PlanningProblem, PlanResult
+from controller.visits import retime
+
+Log = Callable[[str, int, str, int, dict[str, object]], None]
+Mask = NDArray[np.uint8]
+
+#: Added to an AGV's number for the places it still holds on its way to the end of its authority.
+TRAIL = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class ControlOptions:
+    """Clock, window and limits. The windows and limits are the thesis's (papers cited in the planners).
+
+    Attributes:
+        period_steps: replanning period.
+        window_cells: planning window at the start, in moves of ``Rules.cell_steps``; 0 for complete paths.
+        window_min, window_max, window_step: the window adapts between these.
+        score_keep, score_scc, score_up, score_down: the window grows by a step when the congestion score
+            ``floor(keep * old) + wait edges + scc * SCCs`` is above ``up`` and shrinks below ``down``.
+        ladder: limits of deadlock resolution.
+    """
+
+    period_steps: int
+    window_cells: int = 5
+    window_min: int = 5
+    window_max: int = 11
+    window_step: int = 2
+    score_keep: float = 0.6
+    score_scc: int = 5
+    score_up: int = 24
+    score_down: int = 10
+    ladder: LadderLimits = field(default_factory=LadderLimits)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanningCall:
+    """One planning call, for the record. ``wall_s`` is the only value that differs between equal runs."""
+
+    step: int
+    agents: int
+    status: str
+    window_steps: int
+    counters: Counters
+    wall_s: float
+
+
+class Planning:
+    """Builds planning problems, hands plans to the executor and has deadlocks resolved.
+
+    Args:
+        planner: answers planning problems.
+        options: clock, window, limits.
+        agvs: the fleet, read only.
+        executor: takes the plans.
+        rules: gives the steps of a move.
+        costs: driving costs, shared with dispatch.
+        log: takes events.
+
+    Attributes:
+        calls: planning calls since they were last taken.
+        counters: search work of the whole run.
+    """
+
+    def __init__(
+        self,
+        planner: Planner,
+        options: ControlOptions,
+        agvs: list[Agv],
+        executor: Executor,
+        rules: Rules,
+        costs: Costs,
+        log: Log,
+    ) -> None:
+        self._planner = planner
+        self._options = options
+        self._agvs = agvs
+        self._executor = executor
+        self._rules = rules
+        self._costs = costs
+        self._log = log
+        self._progress = Progress(executor, agvs, costs)
+        self._ladder = Ladder(options.ladder, executor, agvs, self._progress, log)
+        self._window = options.window_cells
+        self._score = 0
+        self._last = -options.period_steps
+        self._changed = True
+        self.calls: list[PlanningCall] = []
+        self.counters = Counters()
+
+    def take_calls(self) -> list[PlanningCall]:
+        """The planning calls since this was last asked."""
+        calls, self.calls = self.calls, []
+        return calls
+
+    def goal_changed(self) -> None:
+        """An AGV has a new goal: plan in this step."""
+        self._changed = True
+
+    def step(self, step: int, blocked: Mask, no_rest: Callable[[], Mask]) -> None:
+        """Plan if it is due.
+
+        Args:
+            step: now.
+            blocked: vertices where nobody may drive, shape (n,).
+            no_rest: makes the mask of vertices where nobody may rest whose goal it is not.
+        """
+        due = step - self._last >= self._options.period_steps
+        if not (self._changed or (due and self._under_way())):
+            return
+        self._changed, self._last = False, step
+        problem = self._problem(step, blocked, no_rest())
+        start = perf_counter()
+        result = self._planner(problem)
+        self._take(step, problem, result)
+        self._watch(step, problem)
+        wall_s = perf_counter() - start
+        status = result.status.value
+        self.calls.append(
+            PlanningCall(step, len(problem.agents), status, problem.window_steps, result.counters, wall_s)
+        )
+        self.counters.add(result.counters)
+
+    def _under_way(self) -> bool:
+        return any(agv.goal != a.last or a.pending for agv, a in zip(self._agvs, self._executor.agvs, strict=True))
+
+    def _problem(self, step: int, blocked: Mask, no_rest: Mask) -> PlanningProblem:
+        ex, locked = self._executor, self._ladder.locked
+        fixed = trails(ex, step)
+        if locked:
+            timed = retime(ex, step)
+            fixed += [timed[n] for n in sorted(locked)]
+        agents = tuple(self._agent(agv, step) for agv in self._agvs if agv.number not in locked)
+        window = self._window * self._rules.cell_steps if self._window else FOREVER
+        return PlanningProblem(ex.graph, ex.motion, agents, tuple(fixed), blocked, no_rest, window)
+
+    def _agent(self, agv: Agv, step: int) -> PlanAgent:
+        a = self._executor.agvs[agv.number]
+        stuck = 0
+        if a.standing and a.acting_until < 0 and agv.goal != a.last:
+            stuck = (step - a.since) // self._rules.cell_steps
+        ready = self._executor.ready_step(agv.number, step)
+        dwell = self._rules.lift_bay
+        return PlanAgent(agv.number, a.last, a.in_edge, ready, agv.goal, a.loaded, dwell, priority(agv, stuck))
+
+    def _take(self, step: int, problem: PlanningProblem, result: PlanResult) -> None:
+        paths = dict(result.paths)
+        for path in problem.fixed:
+            if path.agv in self._ladder.locked and path.vertices[0] == self._executor.agvs[path.agv].last:
+                paths[path.agv] = path
+        refusal = self._executor.accept(paths)
+        if refusal:
+            self._log("plan_rejected", refusal.agents[0], "", refusal.vertex, {"reason": refusal.reason})
+        elif result.failed:
+            self._log("plan_partial", -1, "", -1, {"failed": sorted(result.failed)})
+
+    def _watch(self, step: int, problem: PlanningProblem) -> None:
+        """Look for deadlock among those who really wait, adapt the window, and have deadlocks resolved."""
+        waits = wait_graph(self._executor, self._agvs, self._costs)
+        self._progress.update(step)
+        self._adapt(waits)
+        self._ladder.step(step, waits, problem)
+
+    def _adapt(self, waits: WaitGraph) -> None:
+        o = self._options
+        self._score = int(o.score_keep * self._score) + len(waits.edges) + o.score_scc * len(waits.rings)
+        if not self._window:
+            return
+        if self._score > o.score_up:
+            self._window = min(o.window_max, self._window + o.window_step)
+        elif self._score < o.score_down:
+            self._window = max(o.window_min, self._window - o.window_step)
+
+
+def trails(executor: Executor, step: int) -> list[Path]:
+    """What moving AGVs still hold before the end of their authority, as places that others must keep clear of.
+
+    They stand under numbers of their own (``TRAIL`` + AGV), since the AGV's own path starts where its authority ends.
+    """
+    paths = []
+    for agv, a in enumerate(executor.agvs):
+        if len(a.trail) > 1:
+            left = executor.leave_steps(agv, step)
+            paths += [Path(TRAIL + agv, (v,), (0,), (), until) for v, until in zip(a.trail, left, strict=False)]
+    return paths

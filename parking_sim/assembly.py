@@ -1,0 +1,179 @@
+"""From a scenario to the parts of a run. What a scenario can get wrong is found here, before anything is written."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from controller.acs import Acs, Log, Setup
+from controller.deadlock.ladder import LadderLimits
+from controller.dispatch import DISPATCH
+from controller.garage import Garage
+from controller.planners.cbs import CbsLimits
+from controller.planners.table import load_planner
+from controller.planning import ControlOptions
+from controller.rules import Rules
+from controller.types import Motion
+from demand.types import Demand, stream
+from demand.workloads import make_demand
+from parking_sim.config import AgvConfig, ControlConfig, Scenario
+from parking_sim.errors import InputError
+from parking_sim.plants import Plant
+from parking_sim.rulesets import RULE_SETS, TickRules
+from sumo_nets.read import GarageNet, read_net, shipped_nets
+
+if TYPE_CHECKING:
+    from parking_sim.plants.sumo_agv import AgvType
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """The parts of one run.
+
+    Attributes:
+        scenario: what was asked.
+        net: the garage's net.
+        homes: home vertex of each AGV.
+        demand: what the customers want.
+        motion, rules: durations for planning and for work at the goals.
+    """
+
+    scenario: Scenario
+    net: GarageNet
+    homes: tuple[int, ...]
+    demand: Demand
+    motion: Motion
+    rules: Rules
+
+    def plant(self, outputs: Path | None, gui: bool, fcd: bool) -> Plant:
+        """Start the plant; with SUMO this loads the net."""
+        if self.scenario.plant == "discrete":
+            from parking_sim.plants.discrete import DiscretePlant
+
+            ticks = _ticks(self.scenario)
+            return DiscretePlant(self.net.graph, self.motion, self.homes, ticks.charge_after_cells)
+        from parking_sim.plants.sumo import SumoPlant
+
+        s = self.scenario
+        return SumoPlant(self.net, self.homes, agv_type(s.agv), s.seed, s.step_s, gui, outputs, fcd)
+
+    def garage(self) -> Garage:
+        """Empty books, then the cars that are there at the start."""
+        customers, seed = self.scenario.customers, self.scenario.seed
+        handling = stream(seed, "handling")
+        median = 0.0 if self.scenario.plant == "discrete" else customers.handling_median_s
+        garage = Garage(self.net.graph, self.net.handover, handling, median, customers.handling_sigma)
+        garage.place_initial(self.demand.initial_cars, stream(seed, "initial slots"))
+        return garage
+
+    def acs(self, garage: Garage, log: Log) -> Acs:
+        """The controller.
+
+        Raises:
+            InputError: unknown planner, planner option or dispatch rule.
+        """
+        s, graph = self.scenario, self.net.graph
+        if s.dispatch not in DISPATCH:
+            raise InputError(f"dispatch: {s.dispatch!r}: give one of {', '.join(DISPATCH)}")
+        try:
+            planner = load_planner(s.planner, graph, self.motion, s.planner_options)
+        except ValueError as error:
+            raise InputError(f"planner: {error}") from None
+        options = control_options(s.control, self.rules.cell_steps, self.motion.step_s)
+        rule = DISPATCH[s.dispatch]
+        return Acs(Setup(graph, self.motion, self.homes, garage, self.rules, options, planner, rule, log))
+
+
+def assemble(scenario: Scenario) -> World:
+    """Check a scenario against its garage and build what does not need a running plant.
+
+    Raises:
+        InputError: an unknown rule set, more AGVs than homes, a demand that does not fit.
+        NetError: an unknown or unusable net.
+    """
+    net = read_net(_garage_path(scenario))
+    homes = net.graph.homes
+    if scenario.agvs > len(homes):
+        raise InputError(f"agvs: {scenario.agvs}: {net.name} has homes for 1 to {len(homes)}")
+    demand = make_demand(scenario.workload, len(net.graph.slots), scenario.seed, scenario.base_dir)
+    if scenario.plant == "discrete":
+        ticks = _ticks(scenario)
+        motion, rules = ticks.motion(net.graph, scenario.planner), ticks.rules()
+    else:
+        from parking_sim.plants.sumo_agv import sumo_motion
+
+        kind = agv_type(scenario.agv)
+        motion = sumo_motion(net.graph, kind, scenario.step_s)
+        rules = _sumo_rules(scenario.agv, motion)
+    return World(scenario, net, homes[: scenario.agvs], demand, motion, rules)
+
+
+def _garage_path(scenario: Scenario) -> str | Path:
+    if scenario.garage in shipped_nets() or Path(scenario.garage).is_absolute():
+        return scenario.garage
+    relative = scenario.base_dir / scenario.garage
+    return relative if relative.exists() else scenario.garage
+
+
+def _ticks(scenario: Scenario) -> TickRules:
+    if scenario.rules not in RULE_SETS:
+        raise InputError(f"rules: {scenario.rules!r}: give one of {', '.join(RULE_SETS)}")
+    return RULE_SETS[scenario.rules]
+
+
+def agv_type(config: AgvConfig) -> AgvType:
+    """The plant's AGV from the scenario's."""
+    from parking_sim.plants.sumo_agv import AgvType
+
+    return AgvType(**config.model_dump(exclude={"charge_below", "charge_to", "soc_start"}))
+
+
+def _sumo_rules(config: AgvConfig, motion: Motion) -> Rules:
+    def steps(seconds: float) -> int:
+        return math.ceil(round(seconds / motion.step_s, 9))
+
+    full_charge_s = config.battery_wh / config.charge_w * 3600.0
+    return Rules(
+        lift_slot=steps(config.lift_s),
+        lower_slot=steps(config.lower_s),
+        lift_bay=steps(config.lift_s),
+        lower_bay=steps(config.lower_s),
+        charge_below=config.charge_below,
+        charge_to=config.charge_to,
+        charge_steps=steps(full_charge_s),
+        charge_least_steps=1,
+        assign_on_return=True,
+        cell_steps=int(np.median(motion.edge_steps[1])),
+    )
+
+
+def control_options(config: ControlConfig, cell_steps: int, step_s: float) -> ControlOptions:
+    """The controller's options in its own units."""
+
+    def steps(seconds: float) -> int:
+        return max(1, round(seconds / step_s))
+
+    ladder = LadderLimits(
+        patience_steps=2 * cell_steps,
+        stuck_steps=steps(config.stuck_s) if step_s < 1 else 5 * cell_steps,
+        group=config.cbs_group,
+        cbs=CbsLimits(
+            expansions=config.cbs_expansions, nodes=config.cbs_nodes, constraints=config.cbs_constraints, ranges=True
+        ),
+    )
+    return ControlOptions(
+        period_steps=steps(config.period_s) if step_s < 1 else 1,
+        window_cells=config.window_cells,
+        window_min=config.window_min,
+        window_max=config.window_max,
+        window_step=config.window_step,
+        score_keep=config.score_keep,
+        score_scc=config.score_scc,
+        score_up=config.score_up,
+        score_down=config.score_down,
+        ladder=ladder,
+    )

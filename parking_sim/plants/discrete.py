@@ -1,0 +1,101 @@
+"""A plant without SUMO: one cell a tick. For tests and for comparison with published grid results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from controller.types import Act, Action, Advance, AgvState, CallForward, Command, DriveOff, Motion
+from parking_sim.plants import AgvSample, CarAtBay, CarLeft, PlantEvent
+from parking_sim.rulesets import CHARGE_BELOW
+from sumo_nets.graph import Graph
+
+
+class DiscretePlant:
+    """AGVs jump from vertex to vertex, one edge a tick; customers take no time.
+
+    Args:
+        graph, motion: the garage and the ticks of its moves (all edges 1, following allowed).
+        starts: start vertex of each AGV.
+        charge_after_cells: cells after which the state of charge has fallen to where charging is due.
+    """
+
+    def __init__(self, graph: Graph, motion: Motion, starts: Sequence[int], charge_after_cells: int) -> None:
+        self.graph = graph
+        self.motion = motion
+        self.at = list(starts)
+        self._heading = [0.0] * len(starts)
+        self._count = [0] * len(starts)
+        self._target = [-1] * len(starts)
+        self._timer = [0] * len(starts)
+        self._action: list[Action | None] = [None] * len(starts)
+        self._cells = [0] * len(starts)
+        self._charge_after = charge_after_cells
+        self._events: list[PlantEvent] = []
+        self._next: list[PlantEvent] = []
+        self.time_s = 0.0
+
+    def states(self) -> Sequence[AgvState]:
+        """One state for each AGV, in their order."""
+        rows = zip(self._count, self._timer, self._cells, strict=True)
+        return [AgvState(i, n, n, t == 0, self._soc(cells)) for i, (n, t, cells) in enumerate(rows)]
+
+    def _soc(self, cells: int) -> float:
+        return round(1.0 - (1.0 - CHARGE_BELOW) * cells / self._charge_after, 9)
+
+    def events(self) -> Sequence[PlantEvent]:
+        """What happened with customers' cars in the last tick."""
+        return self._events
+
+    def arrive(self, car: str) -> None:
+        """A customer comes; without a street there is no queue to join."""
+
+    def execute(self, command: Command) -> None:
+        """Carry out one command.
+
+        Raises:
+            ValueError: an AGV is told to drive more than one edge a tick, where there is none, or while it acts.
+        """
+        if isinstance(command, Advance):
+            self._advance(command)
+        elif isinstance(command, Act):
+            self._timer[command.agv] = command.steps
+            self._action[command.agv] = command.action
+        elif isinstance(command, CallForward):
+            self._next.append(CarAtBay(command.car, command.bay))
+        elif isinstance(command, DriveOff):
+            self._next.append(CarLeft(command.car, command.bay))
+
+    def _advance(self, command: Advance) -> None:
+        agv = command.agv
+        (vertex,) = command.vertices
+        if self._target[agv] >= 0 or self._timer[agv] or (self.at[agv], vertex) not in self.graph.edge_index:
+            names = self.graph.names
+            raise ValueError(f"AGV {agv} can't move from {names[self.at[agv]]} to {names[vertex]}")
+        self._target[agv] = vertex
+
+    def step(self) -> None:
+        """One tick: granted moves are made, actions go on."""
+        for agv, target in enumerate(self._target):
+            if target >= 0:
+                edge = self.graph.edge_index[self.at[agv], target]
+                self._heading[agv] = float(self.graph.heading_deg[edge])
+                self.at[agv] = target
+                self._target[agv] = -1
+                self._count[agv] += 1
+                self._cells[agv] += 1
+            elif self._timer[agv]:
+                self._timer[agv] -= 1
+                if self._timer[agv] == 0 and self._action[agv] is Action.CHARGE:
+                    self._cells[agv] = 0
+        self._events, self._next = self._next, []
+        self.time_s += self.motion.step_s
+
+    def samples(self) -> Sequence[AgvSample]:
+        """Where each AGV is now."""
+        xy = self.graph.xy
+        return [
+            AgvSample(i, float(xy[v, 0]), float(xy[v, 1]), self._heading[i], 0.0) for i, v in enumerate(self.at)
+        ]
+
+    def close(self) -> None:
+        """Nothing to release."""

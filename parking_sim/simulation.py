@@ -1,0 +1,345 @@
+"""One run: the loop that joins demand, controller and plant, and writes the record."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from controller.types import Action, AgvMode, Request
+from parking_sim.assembly import World, assemble
+from parking_sim.config import Scenario
+from parking_sim.folders import clear_run
+from parking_sim.plants import CarAtBay
+from parking_sim.record import AgvRow, Recorder, TaskRow
+
+#: Simulated seconds without any task done or vertex granted, with work to do, after which a run is given up.
+STALLED_S = 7200.0
+
+#: Wall-clock seconds between two calls of ``progress``.
+PROGRESS_S = 0.2
+
+_ACTIVITY_OF = {Action.TURN: "turning", Action.LIFT: "lifting", Action.LOWER: "lowering", Action.CHARGE: "charging"}
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a run is: simulated seconds, tasks done of how many, wall-clock seconds."""
+
+    time_s: float
+    done: int
+    total: int
+    wall_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """How a run ended.
+
+    Attributes:
+        status: finished, time_limit (its duration or limit is over), stalled or interrupted.
+        metrics: see ``analysis.metrics.METRICS``.
+        folder: where the record is, None if none was written.
+    """
+
+    status: str
+    metrics: Mapping[str, Any]
+    folder: Path | None
+
+
+def simulate(
+    scenario: Scenario,
+    out: Path | None,
+    *,
+    gui: bool = False,
+    fcd: bool = False,
+    progress: Callable[[Progress], None] | None = None,
+) -> Summary:
+    """Run a scenario.
+
+    Args:
+        scenario: what to run.
+        out: folder for the record, made if need be; None writes nothing.
+        gui: show it in sumo-gui.
+        fcd: write SUMO's floating car data as well.
+        progress: called a few times a second.
+
+    Returns:
+        How it ended. Ctrl-C ends the run early with the record so far.
+
+    Raises:
+        InputError, NetError: the scenario does not fit its garage; nothing has been written then.
+        PlantError: SUMO failed.
+    """
+    world = assemble(scenario)
+    run = _Run(world, progress)
+    if out is not None:
+        clear_run(out)
+        out.mkdir(parents=True, exist_ok=True)
+    with run.started(out, gui, fcd or scenario.record.fcd):
+        status = run.loop()
+    return run.finish(status, out)
+
+
+class _Run:
+    """The state of one run."""
+
+    def __init__(self, world: World, progress: Callable[[Progress], None] | None) -> None:
+        self.world = world
+        self.recorder = Recorder()
+        self.recorder.floor(world.net.graph)
+        self.garage = world.garage()
+        self.acs = world.acs(self.garage, self._log)
+        self.step = 0
+        self.step_s = world.motion.step_s
+        self.names = world.net.graph.names
+        self._progress = progress
+        self._told = 0.0
+        self._phase = -1
+        self._pending: list[Request] = []
+        self._phase_start_s = 0.0
+        self._activity = [dict.fromkeys(_ACTIVITIES, 0) for _ in self.acs.agvs]
+        self._wall = dict.fromkeys(("sumo", "control", "planning", "check", "record"), 0.0)
+        self._moved = (0, 0)
+        self._moved_s = 0.0
+        self._ready: list[Any] = []
+
+    @property
+    def now_s(self) -> float:
+        """Simulated seconds since the loop began."""
+        return self.step * self.step_s
+
+    @contextmanager
+    def started(self, outputs: Path | None, gui: bool, fcd: bool) -> Iterator[None]:
+        """The plant, closed at the end whatever happens."""
+        self._start = perf_counter()
+        self.plant = self.world.plant(outputs, gui, fcd)
+        self._sumo: Any = self.plant if self.world.scenario.plant == "sumo" else None
+        self._footprint: Any = None
+        if self._sumo is not None:
+            from parking_sim.footprint import FootprintCheck
+
+            self._footprint = FootprintCheck()
+            self._park_initial()
+        try:
+            yield
+        finally:
+            self.plant.close()
+
+    # --- the loop -------------------------------------------------------------------------------------------------
+
+    def loop(self) -> str:
+        """Step until everything is done or time is up; returns the status."""
+        scenario = self.world.scenario
+        end_s = scenario.duration_s or scenario.max_time_s
+        sample_every = max(1, round(scenario.record.sample_s / self.step_s))
+        try:
+            while True:
+                self._customers()
+                if self._finished():
+                    return "finished"
+                if self.now_s >= end_s:
+                    return "time_limit"
+                if self._stalled():
+                    return "stalled"
+                self._control()
+                if self.step % sample_every == 0:
+                    self._sample()
+                t = perf_counter()
+                self.plant.step()
+                self._wall["sumo"] += perf_counter() - t
+                self.step += 1
+                self._check()
+                if self.step % 256 == 0:
+                    self._tell()
+        except KeyboardInterrupt:
+            return "interrupted"
+
+    def _control(self) -> None:
+        t = perf_counter()
+        commands = self.acs.step(self.step, self.plant.states())
+        for command in commands:
+            self.plant.execute(command)
+        self._wall["control"] += perf_counter() - t
+        t = perf_counter()
+        for call in self.acs.planning.take_calls():
+            c = call.counters
+            self._wall["planning"] += call.wall_s
+            self.recorder.planning(
+                self.now_s, call.agents, call.status, call.window_steps, c.expanded, c.heap_moves, c.generated,
+                c.valid, call.wall_s * 1000.0, c.slot_choice,
+            )  # fmt: skip
+        self._account()
+        self._wall["record"] += perf_counter() - t
+
+    def _account(self) -> None:
+        """Count what each AGV does in this step."""
+        for agv, a, row in zip(self.acs.agvs, self.acs.executor.agvs, self._activity, strict=True):
+            if a.acting is not None:
+                row[_ACTIVITY_OF[a.acting]] += 1
+            elif not a.standing:
+                row["loaded" if a.loaded else "empty"] += 1
+            else:
+                row["idle" if agv.mode is AgvMode.IDLE else "waiting"] += 1
+
+    # --- customers ------------------------------------------------------------------------------------------------
+
+    def _customers(self) -> None:
+        """Take over what happened in the street, then the requests that are due."""
+        for event in self.plant.events():
+            if isinstance(event, CarAtBay):
+                job = self.garage.car_at_bay(event.bay, self.now_s)
+                self._ready.append(job)
+                self._log("car_at_bay", -1, job.car, event.bay, {"request": job.number})
+            else:
+                job = self.garage.car_left(event.bay, self.now_s)
+                self._log("car_left", -1, job.car, event.bay, {"request": job.number})
+                self._log("task_done", job.agv, job.car, event.bay, {"request": job.number})
+        for job in [j for j in self._ready if j.ready_s <= self.now_s]:
+            self._ready.remove(job)
+            self._log("car_ready", -1, job.car, job.origin, {"request": job.number})
+        if not self._pending and self.garage.unfinished == 0:
+            self._next_phase()
+        while self._pending and self._pending[-1].time_s + self._phase_start_s <= self.now_s:
+            self._request(self._pending.pop())
+
+    def _next_phase(self) -> None:
+        if self._phase + 1 < len(self.world.demand.phases):
+            self._phase += 1
+            self._pending = list(reversed(self.world.demand.phases[self._phase]))
+            self._phase_start_s = self.now_s
+
+    def _request(self, request: Request) -> None:
+        job = self.garage.request(request, self.now_s)
+        self._log("request_made", -1, job.car, -1, {"request": job.number, "what": request.kind.value})
+        if job.state == "refused":
+            self._log("request_refused", -1, job.car, -1, {"request": job.number, "reason": job.reason})
+        elif job.is_park and self.garage.handover == "bay":
+            self.plant.arrive(job.car)
+
+    def _finished(self) -> bool:
+        no_more = not self._pending and self._phase + 1 >= len(self.world.demand.phases)
+        if self.world.scenario.duration_s is not None:
+            return False
+        return no_more and self.garage.unfinished == 0
+
+    def _stalled(self) -> bool:
+        mark = (sum(self.acs.executor.moves), self.garage.unfinished)
+        if mark != self._moved or self.garage.unfinished == 0:
+            self._moved, self._moved_s = mark, self.now_s
+        return self.now_s - self._moved_s >= STALLED_S
+
+    # --- watching -------------------------------------------------------------------------------------------------
+
+    def _check(self) -> None:
+        if self._footprint is None:
+            return
+        t = perf_counter()
+        self._footprint.step(self.now_s, self._sumo.bodies())
+        self._wall["check"] += perf_counter() - t
+
+    def _park_initial(self) -> None:
+        """Bodies of the cars that are parked before the run starts."""
+
+    def _sample(self) -> None:
+        t = perf_counter()
+        agvs = self.acs.agvs
+        cars = [
+            agv.job.car if a.loaded and agv.job else ""
+            for agv, a in zip(agvs, self.acs.executor.agvs, strict=True)
+        ]
+        self.recorder.sample(
+            self.now_s, self.plant.samples(), [a.mode.value for a in agvs], cars, [a.soc for a in agvs]
+        )
+        street = self._sumo.street() if self._sumo is not None else None
+        queue, spilled = (street.queued, street.spilled) if street else (0, 0)
+        active = sum(1 for a in agvs if a.job is not None)
+        parked, waiting = len(self.garage.parked), len(self.garage.open)
+        self.recorder.timeline(self.now_s, queue + spilled, spilled, parked, waiting, active)
+        self._wall["record"] += perf_counter() - t
+
+    def _log(self, kind: str, agv: int, car: str, vertex: int, detail: dict[str, object]) -> None:
+        self.recorder.event(self.now_s, kind, agv, car, self.names[vertex] if vertex >= 0 else "", **detail)
+
+    def _tell(self) -> None:
+        if self._progress is None or perf_counter() - self._told < PROGRESS_S:
+            return
+        self._told = perf_counter()
+        done = len(self.garage.jobs) - self.garage.unfinished
+        self._progress(Progress(self.now_s, done, self.world.demand.total, self._told - self._start))
+
+    # --- the end --------------------------------------------------------------------------------------------------
+
+    def finish(self, status: str, out: Path | None) -> Summary:
+        """Write the record and work out the metrics."""
+        for job in self.garage.jobs:
+            self.recorder.task(self._task_row(job))
+        for i, agv in enumerate(self.acs.agvs):
+            self.recorder.agv(self._agv_row(i, agv.tasks))
+        meta = self._meta(status)
+        from analysis.metrics import run_metrics, write_metrics
+        from analysis.tables import recorded_run
+
+        if out is None:
+            return Summary(status, run_metrics(recorded_run(self.recorder, meta)), None)
+        self.recorder.write(out, meta)
+        return Summary(status, write_metrics(out), out)
+
+    def _task_row(self, job: Any) -> TaskRow:
+        def name(vertex: int) -> str:
+            return self.names[vertex] if vertex >= 0 else ""
+
+        return TaskRow(
+            job.number, job.request.kind.value, job.car, job.state, job.reason, job.agv, name(job.origin),
+            name(job.destination), job.requested_s, job.at_bay_s, job.ready_s, job.assigned_s, job.lifted_s,
+            job.delivered_s, job.done_s,
+        )  # fmt: skip
+
+    def _agv_row(self, i: int, tasks: int) -> AgvRow:
+        ex = self.acs.executor
+        seconds = {f"{k}_s": n * self.step_s for k, n in self._activity[i].items()}
+        return AgvRow(i, ex.moves[i], ex.distance_m[i], tasks, **seconds)
+
+    def _meta(self, status: str) -> dict[str, object]:
+        scenario, garage = self.world.scenario, self.garage
+        clearance = self._footprint.result() if self._footprint is not None else None
+        problems = garage.audit()
+        return {
+            "status": status,
+            "scenario": scenario.model_dump(mode="json"),
+            "seed": scenario.seed,
+            "versions": versions(),
+            "map": self.world.net.name,
+            "step_s": self.step_s,
+            "simulated_s": self.now_s,
+            "tasks_wanted": self.world.demand.total,
+            "sumo_collisions": self._sumo.collisions if self._sumo is not None else 0,
+            "footprint_overlaps": clearance.overlaps if clearance else 0,
+            "least_clearance_m": clearance.least_m if clearance else None,
+            "cars_initial": garage.initial,
+            "cars_arrived": garage.arrived,
+            "cars_parked": len(garage.parked),
+            "cars_left": garage.left,
+            "cars_in_transit": garage.in_transit(),
+            "audit": problems,
+            "wall_s": {"total": perf_counter() - self._start, **self._wall},
+        }
+
+
+_ACTIVITIES = ("empty", "loaded", "turning", "lifting", "lowering", "waiting", "charging", "idle")
+
+
+def versions() -> dict[str, str]:
+    """Versions of the program, Python and the libraries that decide a run's outcome."""
+    found = {"python": platform.python_version()}
+    for package in ("parking-sim", "libsumo", "numpy", "numba", "networkx"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "unknown"
+    return found
