@@ -172,6 +172,15 @@ class Scenario(_Options):
         """Name of a shipped garage, or path of a net file."""
         return self.base_dir / self.garage if self.garage.endswith(NET_SUFFIXES) else self.garage
 
+    @property
+    def planner_source(self) -> str:
+        """The planner's name, or ``file.py:function`` with the file's path from the working directory.
+
+        A relative path counts from the scenario's folder, or else from the working directory.
+        """
+        beside = self.base_dir / self.planner
+        return str(beside) if Path(str(beside).rpartition(":")[0]).is_file() else self.planner
+
 
 def load_scenario(source: str | Path, overrides: Mapping[str, object] | None = None) -> Scenario:
     """Read a scenario.
@@ -182,7 +191,7 @@ def load_scenario(source: str | Path, overrides: Mapping[str, object] | None = N
         overrides: values for keys at the top level that go before the file's.
 
     Returns:
-        The scenario. Whether its garage, planner and rules exist is checked when they are looked up.
+        The scenario; its garage, planner, dispatch rule and rule set exist.
 
     Raises:
         InputError: no such file or garage, bad YAML, or a value that isn't valid.
@@ -225,7 +234,34 @@ def _validate(data: dict[str, object], overrides: Mapping[str, object], source: 
             source = "command line"
         raise InputError(f"{source}: {_one_line(first)}") from None
     scenario._base_dir = base_dir
+    for key, wrong in _unknown_names(scenario):
+        raise InputError(f"{'command line' if key in overrides else source}: {key}: {wrong}")
     return scenario
+
+
+def _unknown_names(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Names that no table has: the key, and what is wrong with its value."""
+    from controller.dispatch import DISPATCH
+    from controller.planners.table import PLANNERS
+    from parking_sim.rulesets import RULE_SETS
+
+    if ":" in scenario.planner:
+        path = Path(scenario.planner_source.rpartition(":")[0])
+        if not path.is_file():
+            yield "planner", f"{scenario.planner!r}: no such file; give file.py:function"
+    elif scenario.planner not in PLANNERS:
+        yield "planner", f"{scenario.planner!r}: give one of {', '.join(PLANNERS)}, or file.py:function"
+    for key, value, table in (
+        ("dispatch", scenario.dispatch, DISPATCH),
+        ("rules", scenario.rules, RULE_SETS),
+    ):
+        if value not in table:
+            yield key, f"{value!r}: give one of {', '.join(table)}"
+    if not scenario.garage.endswith(NET_SUFFIXES):
+        if scenario.garage not in shipped_nets():
+            yield "garage", f"{scenario.garage!r}: give one of {', '.join(shipped_nets())}, or a file (.net.xml.gz)"
+    elif not Path(scenario.garage_source).is_file():
+        yield "garage", f"{scenario.garage!r}: no such file"
 
 
 def _one_line(error: ErrorDetails) -> str:

@@ -54,14 +54,19 @@ def test_overrides_go_before_the_file(tmp_path: Path) -> None:
 
 
 def test_relative_paths_count_from_the_file(tmp_path: Path) -> None:
-    scenario = load(tmp_path, "garage: nets/own.net.xml\nagvs: 1\n")
+    (tmp_path / "nets").mkdir()
+    (tmp_path / "nets/own.net.xml").touch()
+    (tmp_path / "mine.py").touch()
+    scenario = load(tmp_path, "garage: nets/own.net.xml\nagvs: 1\nplanner: mine.py:plan\n")
+    assert scenario.planner_source == f"{tmp_path / 'mine.py'}:plan"
     assert scenario.garage_source == tmp_path / "nets/own.net.xml"
     assert pickle.loads(pickle.dumps(scenario)).base_dir == tmp_path
 
 
-def test_a_net_file_is_a_scenario() -> None:
-    scenario = load_scenario("some/own.net.xml.gz", {"agvs": 2})
-    assert scenario.garage_source == Path("some/own.net.xml.gz")
+def test_a_net_file_is_a_scenario(tmp_path: Path) -> None:
+    net = tmp_path / "own.net.xml.gz"
+    net.touch()
+    assert load_scenario(net, {"agvs": 2}).garage_source == net
 
 
 def test_a_scenario_survives_being_written_down() -> None:
@@ -104,6 +109,12 @@ ERRORS: list[tuple[str, str]] = [
         BASE + "workload: {kind: zones, arrivals_per_h: 3, zones: {a: -1}}",
         "workload.zones.a: -1: must be greater than 0",
     ),
+    (BASE + "planner: whcaa", "planner: 'whcaa': give one of whca"),
+    (BASE + "planner: mine.py:plan", "planner: 'mine.py:plan': no such file"),
+    (BASE + "dispatch: best", "dispatch: 'best': give one of nearest"),
+    (BASE + "rules: none", "rules: 'none': give one of "),
+    ("garage: map9\nagvs: 1", "garage: 'map9': give one of map1"),
+    ("garage: my.net.xml\nagvs: 1", "garage: 'my.net.xml': no such file"),
     ("garage: map1\n agvs: 2", "line 2: not YAML: mapping values are not allowed here"),
     ("garage: [map1\n", "line 2: not YAML: "),
     ("garage: \t@", "line 1: not YAML: "),
