@@ -129,7 +129,22 @@ def agv_type(config: AgvConfig) -> AgvType:
     """The plant's AGV from the scenario's."""
     from parking_sim.plants.sumo_agv import AgvType
 
-    return AgvType(**config.model_dump(exclude={"charge_below", "charge_to", "soc_start"}))
+    return AgvType(
+        empty_mps=config.speed_empty_mps,
+        loaded_mps=config.speed_loaded_mps,
+        empty_accel=config.accel_empty_mps2,
+        loaded_accel=config.accel_loaded_mps2,
+        braking=config.decel_mps2,
+        empty_turn_dps=config.turn_empty_deg_s,
+        loaded_turn_dps=config.turn_loaded_deg_s,
+        lift_s=config.lift_s,
+        lower_s=config.lower_s,
+        length_m=config.length_m,
+        width_m=config.width_m,
+        idle_w=config.idle_w,
+        battery_wh=config.battery_wh,
+        charge_w=config.charge_w,
+    )
 
 
 def _sumo_rules(config: AgvConfig, motion: Motion) -> Rules:
