@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     usage_error = cast(type[Exception], typer.BadParameter.__bases__[0])
     try:
-        code = app(words, prog_name=app.info.name, standalone_mode=False)
+        code = app(words, prog_name=app.info.name, standalone_mode=False) or 0
     except usage_error as error:
         _complain(getattr(error, "format_message", error.__str__)())
         code = BAD_INPUT
@@ -84,6 +84,8 @@ def run(
 
     given = {"agvs": agvs, "planner": planner, "seed": seed, "plant": plant.value if plant else None}
     loaded = load_scenario(scenario, {key: value for key, value in given.items() if value is not None})
+    if loaded.plant != "sumo" and (gui or fcd):
+        raise InputError(f"{'--gui' if gui else '--fcd'}: plant is {loaded.plant}: only SUMO has it; give --plant sumo")
     name = Path(scenario).name.split(".")[0]
     folder = out or Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
     check_folder(folder, force)
@@ -95,7 +97,7 @@ def run(
     page = _write_report(folder) if report else None
     if not quiet:
         _print_summary(summary, folder, page)
-    raise typer.Exit(exit_code(summary.status))
+    raise typer.Exit(exit_code(summary.status, loaded.duration_s is not None))
 
 
 @app.command()
@@ -202,9 +204,19 @@ def doctor() -> None:
     raise typer.Exit(UNFINISHED if any(f.needed and not f.ok for f in findings) else 0)
 
 
-def exit_code(status: str) -> int:
-    """Exit code for a run that ended so."""
-    return {"finished": 0, "interrupted": INTERRUPTED}.get(status, UNFINISHED)
+def exit_code(status: str, has_end: bool = False) -> int:
+    """Exit code for a run.
+
+    Args:
+        status: how it ended, see ``parking_sim.simulation.Summary``.
+        has_end: the scenario has a duration, so that reaching it is no failure.
+
+    Returns:
+        0, 1 for work left undone, or 130.
+    """
+    if status == "finished" or (status == "time_limit" and has_end):
+        return 0
+    return INTERRUPTED if status == "interrupted" else UNFINISHED
 
 
 def _complain(message: str) -> None:

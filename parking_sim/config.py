@@ -80,21 +80,24 @@ class ControlConfig(_Options):
 class AgvConfig(_Options):
     """One type of AGV, all alike. Defaults follow the parking robots on the market."""
 
-    speed_empty_mps: float = Field(default=1.5, gt=0, le=20, description="top speed without a car, m/s")
-    speed_loaded_mps: float = Field(default=1.0, gt=0, le=20, description="top speed with a car, m/s")
-    accel_empty_mps2: float = Field(default=0.5, gt=0, le=10, description="acceleration without a car, m/s2")
-    accel_loaded_mps2: float = Field(default=0.3, gt=0, le=10, description="acceleration with a car, m/s2")
-    decel_mps2: float = Field(default=0.8, gt=0, le=10, description="braking, m/s2")
-    turn_empty_deg_s: float = Field(default=30.0, gt=0, description="turning in place without a car, degrees/s")
-    turn_loaded_deg_s: float = Field(default=20.0, gt=0, description="turning in place with a car, degrees/s")
+    empty_mps: float = Field(default=1.5, gt=0, le=20, description="top speed without a car, m/s")
+    loaded_mps: float = Field(default=1.0, gt=0, le=20, description="top speed with a car, m/s")
+    empty_accel: float = Field(default=0.5, gt=0, le=10, description="acceleration without a car, m/s2")
+    loaded_accel: float = Field(default=0.3, gt=0, le=10, description="acceleration with a car, m/s2")
+    braking: float = Field(default=0.8, gt=0, le=10, description="deceleration, m/s2")
+    empty_turn_dps: float = Field(default=30.0, gt=0, description="turning in place without a car, degrees/s")
+    loaded_turn_dps: float = Field(default=20.0, gt=0, description="turning in place with a car, degrees/s")
     lift_s: float = Field(default=20.0, ge=0, description="lifting a car, seconds")
     lower_s: float = Field(default=15.0, ge=0, description="lowering a car, seconds")
-    length_m: float = Field(default=5.0, gt=0, le=20, description="length of the AGV with its car, metres")
-    width_m: float = Field(default=2.0, gt=0, le=5, description="width of the AGV with its car, metres")
-    battery_wh: float = Field(default=8000.0, gt=0, description="battery capacity, Wh")
-    drive_w: float = Field(default=1000.0, ge=0, description="power drawn while driving, W; the default drives 8 h")
-    idle_w: float = Field(default=50.0, ge=0, description="power drawn while standing, W")
-    charge_w: float = Field(default=10000.0, gt=0, description="charging power, W")
+    length_m: float = Field(default=5.0, gt=0, le=20, description="length of the AGV, with or without a car, metres")
+    width_m: float = Field(default=2.0, gt=0, le=5, description="width of the AGV, with or without a car, metres")
+    empty_kg: float = Field(default=1500.0, gt=0, description="mass of the AGV, kg")
+    car_kg: float = Field(default=1800.0, ge=0, description="mass of a car, kg")
+    idle_w: float = Field(default=150.0, ge=0, description="power that electronics draw all the time, W")
+    battery_wh: float = Field(
+        default=6000.0, gt=0, description="battery capacity, Wh; the default lasts about 8 hours of driving"
+    )
+    charge_w: float = Field(default=5000.0, gt=0, description="charging power, W")
     soc_start: float = Field(default=0.9, gt=0, le=1, description="state of charge at the start, 0 to 1")
     charge_below: float = Field(default=0.3, ge=0, lt=1, description="state of charge that sends it to charge, 0 to 1")
     charge_to: float = Field(default=0.9, gt=0, le=1, description="state of charge at which charging ends, 0 to 1")
@@ -115,8 +118,6 @@ class CustomerConfig(_Options):
     handling_sigma: float = Field(
         default=0.5, ge=0, le=3, description="sigma of the lognormal handling time; 0: always the median"
     )
-    length_m: float = Field(default=4.5, gt=0, le=6, description="length of a car in the street, metres")
-    street_speed_mps: float = Field(default=5.0, gt=0, le=30, description="speed in the street, m/s")
 
 
 class RecordConfig(_Options):

@@ -1,0 +1,199 @@
+"""The command line: bad input is one line and exit code 2, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from parking_sim import cli
+from parking_sim.errors import InputError
+from parking_sim.folders import RUN_FILE, check_folder, clear_run
+
+SMALL = "garage: map1\nagvs: 2\nplant: discrete\nworkload: {kind: park_exit, cars: 3}\n"
+CSV = "garage: map1\nagvs: 2\nworkload: {kind: csv, path: log.csv}\n"
+NO_BAYS = '<net version="1.20"><location netOffset="0,0" convBoundary="0,0,1,1" origBoundary="0,0,1,1"/></net>'
+
+FILES = {
+    "small.yaml": SMALL,
+    "csv.yaml": CSV,
+    "unknown_key.yaml": SMALL + "plannner: x\n",
+    "no_agvs.yaml": "garage: map1\n",
+    "bad.yaml": "garage: [\n",
+    "too_many_cars.yaml": "garage: map1\nagvs: 1\nworkload: {kind: park_exit, cars: 62}\n",
+    "unknown_zone.yaml": "garage: map1\nagvs: 1\nworkload: {kind: zones, arrivals_per_h: 60, zones: {roof: 1}}\n",
+    "bad_option.yaml": SMALL + "planner_options: {no_such: 1}\n",
+    "broken.py": "def plan(problem)\n",
+    "empty.net.xml": NO_BAYS,
+    "empty.add.xml": "<additional/>",
+    "layout.yaml": "name: [\n",
+    "taken/run.json": "{}",
+    "other/notes.txt": "mine",
+    "file": "",
+}
+
+
+def words(text: str) -> list[str]:
+    return text.split()
+
+
+#: command line -> what its one line must say
+MISTAKES: list[tuple[str, str]] = [
+    ("runn", "No such command"),
+    ("run", "scenario"),
+    ("run map1 --agv", "No such option"),
+    ("run map1 --agvs", "--agvs"),
+    ("run map1 --agvs two", "--agvs"),
+    ("run map1 --plant moon", "--plant"),
+    ("run map1 --agvs -1", "agvs: -1: must be greater than or equal to 1"),
+    ("run map1 --agvs 0", "agvs: 0: must be greater than or equal to 1"),
+    ("run map1 --seed -1", "seed: -1: must be"),
+    ("run map1 --planner best", "planner: 'best': give one of whca"),
+    ("run map1 --planner mine.py:plan", "planner: 'mine.py:plan': no such file"),
+    ("run map9", "map9: give a scenario (.yaml), a net (.net.xml.gz) or a shipped garage: map1,"),
+    ("run nowhere.yaml", "nowhere.yaml: can't be read: No such file"),
+    ("run nowhere.net.xml --agvs 1", "garage: 'nowhere.net.xml': no such file"),
+    ("run unknown_key.yaml", "unknown_key.yaml: plannner: unknown key; did you mean planner?"),
+    ("run no_agvs.yaml", "no_agvs.yaml: agvs: missing"),
+    ("run bad.yaml", "bad.yaml: line 2: not YAML"),
+    ("run small.yaml --out taken", "--out: taken: holds an earlier run; give another folder, or --force"),
+    ("run small.yaml --out other", "--out: other: holds files that are not a run's"),
+    ("run small.yaml --out other --force", "--out: other: holds files that are not a run's"),
+    ("run small.yaml --out file", "--out: file: can't be written"),
+    ("run small.yaml --out file/deeper", "--out: file/deeper: can't be written"),
+    ("run small.yaml --out /proc/none/x", "--out: /proc/none/x: can't be written"),
+    ("demo --out file", "can't be written"),
+    ("build-net", "give one layout file, or --all"),
+    ("build-net layout.yaml --all", "give one layout file, or --all"),
+    ("build-net nowhere.yaml", "nowhere.yaml"),
+    ("build-net layout.yaml", "layout.yaml"),
+    ("check-net map9", "map9"),
+    ("check-net empty.net.xml", "empty.net.xml"),
+    ("draw-net map9 --out a.svg", "map9"),
+    ("draw-net map1 --out a.doc", "--out: a.doc: give a file name that ends with .svg or .png"),
+    ("draw-net map1", "--out"),
+]
+
+#: the same for what only the simulation's set-up can know
+SETUP_MISTAKES: list[tuple[str, str]] = [
+    ("run map1 --agvs 99", "99"),
+    ("run map1 --agvs 99 --plant discrete", "99"),
+    ("run map1 --agvs 99 --out taken --force", "99"),
+    ("run csv.yaml", "log.csv: row 3: car: 'b': never came"),
+    ("run too_many_cars.yaml", "workload.cars: 62: the garage has 61 slots"),
+    ("run unknown_zone.yaml", "roof"),
+    ("run bad_option.yaml", "planner_options.no_such"),
+    ("run small.yaml --planner broken.py:plan", "broken.py"),
+    ("run empty.net.xml --agvs 1", "empty.net.xml"),
+    ("run small.yaml --gui", "--gui"),
+]
+
+
+@pytest.fixture
+def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder full of mistakes, and the working directory."""
+    for name, text in FILES.items():
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    (tmp_path / "log.csv").write_text("time_s,kind,car\n0,park,a\n9,retrieve,b\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else b"" for p in folder.rglob("*")}
+
+
+def call(arguments: Sequence[str]) -> int | str | None:
+    with pytest.raises(SystemExit) as caught:
+        cli.main(arguments)
+    return caught.value.code
+
+
+def check_mistake(workplace: Path, capfd: pytest.CaptureFixture[str], command: str, complaint: str) -> None:
+    before = files_in(workplace)
+    assert call(words(command)) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.startswith("error: ")
+    assert complaint in err
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+    assert files_in(workplace) == before
+
+
+@pytest.mark.parametrize(("command", "complaint"), MISTAKES, ids=[command for command, _ in MISTAKES])
+def test_a_mistake_is_one_line(
+    workplace: Path, capfd: pytest.CaptureFixture[str], command: str, complaint: str
+) -> None:
+    check_mistake(workplace, capfd, command, complaint)
+
+
+@pytest.mark.parametrize(("command", "complaint"), SETUP_MISTAKES, ids=[command for command, _ in SETUP_MISTAKES])
+def test_a_mistake_seen_at_set_up_is_one_line(
+    workplace: Path, capfd: pytest.CaptureFixture[str], command: str, complaint: str
+) -> None:
+    check_mistake(workplace, capfd, command, complaint)
+
+
+@pytest.mark.parametrize("command", ["run map1 --agvs -1", "run nowhere.yaml", "check-net map9"])
+def test_a_mistake_in_a_process_of_its_own(workplace: Path, command: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "parking_sim", *words(command)], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert done.stderr.startswith("error: ")
+
+
+@pytest.mark.parametrize("command", ["", "--help", "run --help", "demo --help", "build-net --help"])
+def test_help(capfd: pytest.CaptureFixture[str], command: str) -> None:
+    assert call(words(command)) == 0
+    out, err = capfd.readouterr()
+    assert out.startswith("Usage: parking-sim")
+    assert err == ""
+
+
+def test_schema_is_json(capfd: pytest.CaptureFixture[str]) -> None:
+    assert call(["schema"]) == 0
+    assert "agvs" in json.loads(capfd.readouterr().out)["properties"]
+
+
+def test_nets_are_listed(capfd: pytest.CaptureFixture[str]) -> None:
+    assert call(["nets"]) == 0
+    assert {"map1", "map2", "map3"} <= set(capfd.readouterr().out.split())
+
+
+def test_doctor_finds_what_a_run_needs(capfd: pytest.CaptureFixture[str]) -> None:
+    assert call(["doctor"]) == 0
+    out = capfd.readouterr().out
+    assert "MISSING" not in out
+    assert "SUMO: SUMO 1.28" in out
+
+
+def test_a_folder_check_leaves_nothing(tmp_path: Path) -> None:
+    check_folder(tmp_path / "a" / "b", force=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_clearing_takes_a_run_and_nothing_else(tmp_path: Path) -> None:
+    for name in (RUN_FILE, "tasks.parquet", "report.html", "notes.txt"):
+        (tmp_path / name).touch()
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "old.json").touch()
+    clear_run(tmp_path)
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["kept", "notes.txt", "old.json"]
+    clear_run(tmp_path)
+    assert (tmp_path / "kept" / "old.json").exists()
+
+
+def test_a_folder_of_other_files_is_never_cleared(tmp_path: Path) -> None:
+    (tmp_path / "precious.json").touch()
+    clear_run(tmp_path)
+    assert (tmp_path / "precious.json").exists()
+    with pytest.raises(InputError):
+        check_folder(tmp_path, force=True)
