@@ -63,10 +63,6 @@ class ControlConfig(_Options):
     cbs_nodes: int = Field(default=128, ge=1, description="partial CBS: nodes of the constraint tree at most")
     cbs_constraints: int = Field(default=64, ge=1, description="partial CBS: constraints of a node at most")
     cbs_wait_edges: int = Field(default=64, ge=1, description="edges of the wait-for graph looked at, at most")
-    cbs_wait_cost: float = Field(default=0.5, ge=0, description="partial CBS: cost of a wait, in moves")
-    cbs_rest_cost: float = Field(
-        default=0.1, ge=0, description="partial CBS: cost of each cell still to go at the window's end, in moves"
-    )
 
     @model_validator(mode="after")
     def _window_in_range(self) -> Self:
@@ -80,25 +76,22 @@ class ControlConfig(_Options):
 class AgvConfig(_Options):
     """One type of AGV, all alike. Defaults follow the parking robots on the market."""
 
-    empty_mps: float = Field(default=1.5, gt=0, le=20, description="top speed without a car, m/s")
-    loaded_mps: float = Field(default=1.0, gt=0, le=20, description="top speed with a car, m/s")
-    empty_accel: float = Field(default=0.5, gt=0, le=10, description="acceleration without a car, m/s2")
-    loaded_accel: float = Field(default=0.3, gt=0, le=10, description="acceleration with a car, m/s2")
-    braking: float = Field(default=0.8, gt=0, le=10, description="deceleration, m/s2")
-    empty_turn_dps: float = Field(default=30.0, gt=0, description="turning in place without a car, degrees/s")
-    loaded_turn_dps: float = Field(default=20.0, gt=0, description="turning in place with a car, degrees/s")
+    speed_empty_mps: float = Field(default=1.5, gt=0, le=20, description="top speed without a car, m/s")
+    speed_loaded_mps: float = Field(default=1.0, gt=0, le=20, description="top speed with a car, m/s")
+    accel_empty_mps2: float = Field(default=0.5, gt=0, le=10, description="acceleration without a car, m/s2")
+    accel_loaded_mps2: float = Field(default=0.3, gt=0, le=10, description="acceleration with a car, m/s2")
+    decel_mps2: float = Field(default=0.8, gt=0, le=10, description="deceleration, m/s2")
+    turn_empty_deg_s: float = Field(default=30.0, gt=0, description="turning in place without a car, degrees/s")
+    turn_loaded_deg_s: float = Field(default=20.0, gt=0, description="turning in place with a car, degrees/s")
     lift_s: float = Field(default=20.0, ge=0, description="lifting a car, seconds")
     lower_s: float = Field(default=15.0, ge=0, description="lowering a car, seconds")
     length_m: float = Field(default=5.0, gt=0, le=20, description="length of the AGV, with or without a car, metres")
     width_m: float = Field(default=2.0, gt=0, le=5, description="width of the AGV, with or without a car, metres")
-    empty_kg: float = Field(default=1500.0, gt=0, description="mass of the AGV, kg")
-    car_kg: float = Field(default=1800.0, ge=0, description="mass of a car, kg")
     idle_w: float = Field(default=150.0, ge=0, description="power that electronics draw all the time, W")
     battery_wh: float = Field(
         default=6000.0, gt=0, description="battery capacity, Wh; the default lasts about 8 hours of driving"
     )
     charge_w: float = Field(default=5000.0, gt=0, description="charging power, W")
-    soc_start: float = Field(default=0.9, gt=0, le=1, description="state of charge at the start, 0 to 1")
     charge_below: float = Field(default=0.3, ge=0, lt=1, description="state of charge that sends it to charge, 0 to 1")
     charge_to: float = Field(default=0.9, gt=0, le=1, description="state of charge at which charging ends, 0 to 1")
 
