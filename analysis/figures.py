@@ -118,7 +118,7 @@ def draw_waits_over_time(run: Run) -> Figure | None:
     axes.plot(
         delivered["requested_s"],
         (delivered["delivered_s"] - delivered["requested_s"]) / 60.0,
-        "o", color=BLUE, markersize=3, alpha=0.6, markeredgewidth=0, rasterized=big, label="delivered",
+        "o", color=BLUE, markersize=3, alpha=0.85, markeredgewidth=0, rasterized=big, label="delivered",
     )  # fmt: skip
     if len(waiting):
         end = float(run.meta.get("simulated_s") or waiting["requested_s"].max())
@@ -140,6 +140,8 @@ def draw_queue(run: Run) -> Figure | None:
     line = run.timeline
     if line.empty:
         return None
+    from matplotlib.ticker import MaxNLocator
+
     figure, (top, bottom) = _figure(3.8, rows=2)
     binned = _binned(line, ["queue", "spilled", "waiting_requests", "parked"])
     for name, label, color, dash in (
@@ -151,6 +153,7 @@ def draw_queue(run: Run) -> Figure | None:
         binned["time_s"], binned["spilled", "max"], color=RED, alpha=0.45, linewidth=0, label="on the street"
     )
     top.set_ylabel("waiting")
+    top.yaxis.set_major_locator(MaxNLocator(integer=True))
     top.legend(loc="upper right", ncols=3)
     top.set_ylim(0, max(1.0, top.get_ylim()[1] * 1.15))
     bottom.plot(binned["time_s"], binned["parked", "mean"], color=GREEN)
@@ -200,7 +203,14 @@ def draw_deadlocks(run: Run) -> Figure | None:
             color = colors[k % len(colors)]
             starts = rows["time_s"] - rows["cost_s"]
             axes.vlines(starts, 0.0, rows["cost_s"], color=color, linewidth=1.2)
-            axes.plot(starts, rows["cost_s"], "o", color=color, markersize=4.5, label=stage.replace("_", " "))
+            axes.plot(
+                starts,
+                rows["cost_s"],
+                "o",
+                color=color,
+                markersize=4.5,
+                label=stage.replace("_", " ").replace("cbs", "CBS"),
+            )
     lost = _unresolved(found, resolved)
     if len(lost):
         top = axes.get_ylim()[1]
@@ -223,7 +233,7 @@ def draw_planning(run: Run) -> Figure | None:
 
     figure, (axes,) = _figure(2.2)
     edges = np.geomspace(wall.min() * 0.95, wall.max() * 1.05, 41)
-    axes.hist(wall, bins=edges.tolist(), color=BLUE)
+    axes.hist(wall, bins=edges.tolist(), color=BLUE, histtype="stepfilled")
     for q in (0.5, 0.99):
         value = float(np.quantile(wall, q))
         axes.axvline(value, color=INK, linewidth=0.8, linestyle=":")
@@ -293,7 +303,7 @@ FIGURES: Mapping[str, tuple[str, str, Callable[[Run], Any]]] = {
         draw_floor,
     ),
     "deadlocks": (
-        "Deadlocks",
+        "Deadlocks over time",
         "One stem for each deadlock: when it was found, how long until it was resolved, and by what.",
         draw_deadlocks,
     ),
@@ -332,23 +342,29 @@ def svg(figure: Figure, key: str, title: str) -> str:
         title: read out instead of the picture.
 
     Returns:
-        The element, without fixed size, with black as ``currentColor`` and without ids that nothing refers to.
+        The element, without fixed size and without ids that nothing refers to. Black is ``currentColor``; a page may
+        set ``--blue`` to suit its background.
     """
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", dpi=160, transparent=True, metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
-    used = set(re.findall(r"#([\w-]+)", text)) - {INK[1:]}
-    text = re.sub(r'\bid="([\w-]+)"', lambda m: f'id="{key}-{m[1]}"' if m[1] in used else "", text)
+    used = set(re.findall(r"#([\w.-]+)", text)) - {INK[1:]}
+    text = re.sub(r'\bid="([^"]+)"', lambda m: f'id="{key}-{m[1]}"' if m[1] in used else "", text)
     text = re.sub(r'(href="|url\()#', rf"\1#{key}-", text)
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
     text = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font: \1px system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif", text)
     head, body = text.split(">", 1)
     box = re.search(r'viewBox="[^"]*"', head)
-    opening = (
-        f'<svg {box[0] if box else ""} role="img" aria-label="{title}" xmlns:xlink="http://www.w3.org/1999/xlink">'
-    )
-    return opening + re.sub(r"\n\s*", "\n", body.replace(INK, "currentColor"))
+    body = body.replace(INK, "currentColor").replace(BLUE.lower(), f"var(--blue, {BLUE})")
+    names = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
+    opening = f'<svg {box[0] if box else ""} role="img" aria-label="{title}" {names}>'
+    return opening + re.sub(r"\n\s*", "\n", body)
+
+
+def words(name: object) -> str:
+    """A name of the program (``partial_cbs``) as a reader writes it."""
+    return str(name).replace("_", " ").replace("cbs", "CBS")
 
 
 def _figure(height_in: float, rows: int = 1, columns: int = 1) -> tuple[Figure, list[Axes]]:
@@ -380,7 +396,7 @@ def _binned(line: pd.DataFrame, names: list[str]) -> pd.DataFrame:
     width = max(1e-9, float(line["time_s"].iloc[-1] - line["time_s"].iloc[0]) / _MAX_POINTS)
     stretch = ((line["time_s"] - line["time_s"].iloc[0]) // width).astype(int)
     binned = line.groupby(stretch)[names].agg(["mean", "max"])
-    binned["time_s"] = line.groupby(stretch)["time_s"].min()
+    binned["time_s", ""] = line.groupby(stretch)["time_s"].min()
     return binned
 
 
@@ -443,8 +459,16 @@ def _squares(xy: NDArray[np.float64], size: NDArray[np.float64], values: NDArray
 
 def _marks(axes: Axes, vertices: pd.DataFrame) -> None:
     """Letters at bays, chargers and homes."""
+    paper = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
+    text: dict[str, Any] = {
+        "ha": "center",
+        "va": "center",
+        "fontsize": 6,
+        "fontweight": "bold",
+        "clip_on": True,
+        "bbox": paper,
+    }
     for letter, role, color in (("H", "home", "black"), ("C", "charger", RED), ("B", "bay", BLUE)):
         chosen = vertices[[role in roles.split(",") for roles in vertices["roles"]]]
         for x, y in zip(chosen["x_m"], chosen["y_m"], strict=True):
-            axes.text(x, y, letter, ha="center", va="center", fontsize=6, fontweight="bold", color=color,
-                      bbox={"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85})  # fmt: skip
+            axes.text(x, y, letter, color=color, **text)

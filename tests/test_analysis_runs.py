@@ -63,7 +63,7 @@ def synthetic_meta(hours: float = 2.0) -> dict[str, Any]:
         "command": "parking-sim run map1 --agvs 6 --seed 7 --out runs/example",
         "map": "map1",
         "seed": 7,
-        "scenario": {"layout": "map1", "agvs": 6, "planner": "whca", "demand": {"kind": "poisson", "rate_per_h": 60}},
+        "scenario": {"garage": "map1", "agvs": 6, "planner": "whca", "workload": {"kind": "poisson", "per_hour": 60}},
         "versions": {"parking-sim": "0.1.0", "python": "3.11.2", "libsumo": "1.28.0", "numpy": "2.4.6"},
         "step_s": 0.5,
         "simulated_s": hours * 3600.0,
@@ -72,6 +72,10 @@ def synthetic_meta(hours: float = 2.0) -> dict[str, Any]:
         "footprint_overlaps": 0,
         "least_clearance_m": 0.42,
         "cars_initial": 0,
+        "cars_arrived": 63,
+        "cars_parked": 5,
+        "cars_left": 56,
+        "cars_in_transit": 2,
         "wall_s": {"total": 12.5, "sumo": 6.0, "planning": 4.0, "execution": 1.5, "recording": 0.4},
     }
 

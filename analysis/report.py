@@ -1,0 +1,380 @@
+"""The report of a run, and an overview of several: each is one HTML file that needs nothing else, also on paper."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from analysis.figures import figures, words
+from analysis.metrics import METRICS, Metrics, run_metrics
+from analysis.tables import Run, load_run
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+_STORIES = 200
+_SERVICE_ROWS = (
+    ("retrieval_wait", "Retrieval: request to car at the bay"),
+    ("retrieval_total", "Retrieval: request to customer gone"),
+    ("park_queue", "Parking: arrival to bay"),
+    ("park_wait", "Parking: bay to car on an AGV"),
+    ("park_total", "Parking: arrival to car in its slot"),
+)
+_SERVICE_COLUMNS = ("mean", "p50", "p90", "p95", "p99", "max")
+_THESIS = (
+    "throughput", "movement_cost", "nodes_expanded", "heap_moves", "nodes_generated", "valid_expansions", "valid_ratio",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Check:
+    """Something that must hold in a run: what, whether it does (None: not known), and the figures behind it."""
+
+    text: str
+    passed: bool | None
+    figures: str
+
+
+def write_report(folder: Path) -> Path:
+    """Write ``report.html`` into the folder of a run.
+
+    Args:
+        folder: what ``Recorder.write`` wrote.
+
+    Returns:
+        Path of the report.
+
+    Raises:
+        FileNotFoundError: if there is no record.
+        OSError: if the folder can't be written.
+    """
+    run = load_run(folder)
+    metrics = run_metrics(run)
+    page = _environment().get_template("report.html").render(
+        run=run,
+        title=_title(run),
+        headlines=headlines(run, metrics),
+        checks=checks(run, metrics),
+        tiles=_tiles(metrics),
+        asked=_flat(run.meta.get("scenario") or {}),
+        service=_service(metrics),
+        service_columns=_SERVICE_COLUMNS,
+        drawings=figures(run),
+        stories=deadlock_stories(run)[:_STORIES],
+        story_count=int(metrics["deadlocks_found"]),
+        incidents=incidents(run)[:_STORIES],
+        thesis=[(key, number(metrics[key]), *METRICS[key]) for key in _THESIS],
+        metrics=[(key, number(metrics[key]), *METRICS[key]) for key in METRICS],
+        versions=_flat(run.meta.get("versions") or {}),
+        wall=[(part, f"{seconds:.2f} s") for part, seconds in (run.meta.get("wall_s") or {}).items()],
+        digest=sorted((run.meta.get("digest") or {}).items()),
+        files=_files(folder),
+    )  # fmt: skip
+    return _write(folder / "report.html", page)
+
+
+def write_index(folders: Sequence[Path], path: Path) -> Path:
+    """Write one page that compares runs and links to their reports.
+
+    Args:
+        folders: folders of runs, in the order of the table.
+        path: HTML file to write; links are relative to its folder.
+
+    Returns:
+        ``path``.
+
+    Raises:
+        FileNotFoundError: if a folder has no record.
+        OSError: if the file can't be written.
+    """
+    rows = [_index_row(folder, path.parent) for folder in folders]
+    page = _environment().get_template("index.html").render(rows=rows, title=f"{len(rows)} runs")
+    return _write(path, page)
+
+
+def headlines(run: Run, metrics: Metrics) -> list[str]:
+    """What came out, in sentences for someone who reads nothing else.
+
+    Args:
+        run: a record.
+        metrics: its metrics.
+
+    Returns:
+        One to six sentences.
+    """
+    m = metrics
+    wanted = m["tasks_wanted"] if _known(m["tasks_wanted"]) else m["requests"]
+    lines = [f"{m['tasks_done']:,} of {wanted:,} tasks were done in {_span(m['simulated_s'])} of simulated time."]
+    if m["retrievals_done"]:
+        lines.append(
+            f"A customer who asked for a car had it at the bay after {_span(m['retrieval_wait_p50_s'])} (median); "
+            f"19 of 20 within {_span(m['retrieval_wait_p95_s'])}. "
+            f"{_percent(m['retrieval_within_300_s_share'])} waited at most 5 minutes."
+        )
+    if m["parks_done"] and _known(m["park_wait_p50_s"]):
+        lines.append(f"A car to be parked stood at the bay for {_span(m['park_wait_p50_s'])} (median).")
+    if _known(m["spill_back_s"]) and m["spill_back_s"] > 0:
+        lines.append(
+            f"Cars waited on the street for {_span(m['spill_back_s'])}, at most {m['spill_back_max']} at a time."
+        )
+    if len(run.agvs):
+        lines.append(
+            f"{_count(len(run.agvs), 'AGV')} did this, busy {_percent(m['agv_busy_share'])} of the time; "
+            f"{_percent(m['empty_travel_share'])} of the driving was without a car."
+        )
+    lines.append(_deadlock_line(m))
+    return lines
+
+
+def checks(run: Run, metrics: Metrics) -> list[Check]:
+    """What must hold in every run.
+
+    Args:
+        run: a record.
+        metrics: its metrics.
+
+    Returns:
+        The checks, in the order of a reader's worry. That every task was done is not asked of a run whose scenario
+        gives a duration: some tasks are under way when it ends.
+    """
+    m = metrics
+    wanted, clearance = m["tasks_wanted"], m["least_clearance_m"]
+    near = f"the nearest two bodies kept {clearance:.2f} m" if _known(clearance) else ""
+    cars = ", ".join(f"{name.replace('_', ' ')} {number(m[f'cars_{name}'])}" for name in _CAR_NAMES)
+    endless = (run.meta.get("scenario") or {}).get("duration_s") is None
+    done = Check(
+        "Every task was done",
+        m["tasks_done"] >= wanted if _known(wanted) else None,
+        f"{m['tasks_done']} of {number(wanted)}, {m['requests_waiting']} waiting, {m['requests_refused']} refused",
+    )
+    conserved = bool(m["cars_conserved"]) if _known(m["cars_conserved"]) else None
+    return [
+        Check("No collision in SUMO", _is_zero(m["sumo_collisions"]), number(m["sumo_collisions"])),
+        Check("No overlap seen by the independent check", _is_zero(m["footprint_overlaps"]), near),
+        Check("Every deadlock was resolved", m["deadlocks_unresolved"] <= 0, f"{m['deadlocks_found']} found"),
+        *([done] if endless else []),
+        Check("Every request is accounted for", bool(m["requests_conserved"]), f"{m['requests']} requests"),
+        Check("Every car is accounted for", conserved, cars),
+    ]
+
+
+def deadlock_stories(run: Run) -> list[dict[str, str]]:
+    """Each deadlock told from its events.
+
+    Args:
+        run: a record.
+
+    Returns:
+        For each: ``found`` (time), ``members``, ``where``, ``cause``, ``tried`` (stages that failed), ``stage`` (what
+        resolved it, empty if nothing did), ``lasted`` (seconds), in the order in which they were found.
+    """
+    failed: dict[int, list[str]] = {}
+    for row in run.details("stage_failed").to_dict("records"):
+        failed.setdefault(int(row.get("deadlock", -1)), []).append(_reason(row))
+    solved = {int(row.get("deadlock", -1)): row for row in run.details("deadlock_resolved").to_dict("records")}
+    stories = []
+    for place, row in enumerate(run.details("deadlock_found").to_dict("records")):
+        number_ = int(row.get("deadlock", place))
+        end = solved.get(number_)
+        stories.append(
+            {
+                "found": clock(row["time_s"]),
+                "members": ", ".join(str(agv) for agv in row.get("members", [])),
+                "where": str(row["vertex"]),
+                "cause": words(row.get("cause", "")),
+                "tried": "; ".join(failed.get(number_, [])),
+                "stage": words(end["stage"]) if end else "",
+                "lasted": f"{end['cost_s']:.1f} s" if end else "",
+            }
+        )
+    return stories
+
+
+def incidents(run: Run) -> list[tuple[str, str, str, str]]:
+    """Collisions and overlaps: time, kind, who, and the detail as recorded.
+
+    Args:
+        run: a record.
+
+    Returns:
+        One row each, in the order of the record; none in a safe run.
+    """
+    events = run.events[run.events["kind"].isin(["collision", "overlap"])]
+    return [
+        (
+            clock(row["time_s"]),
+            row["kind"],
+            row["car"] or f"AGV {row['agv']}",
+            f"{row['vertex']} {row['detail']}".strip(),
+        )
+        for row in events.to_dict("records")
+    ]
+
+
+def clock(time_s: float) -> str:
+    """A time of the run as h:mm:ss."""
+    seconds = round(time_s)
+    return f"{seconds // 3600}:{seconds % 3600 // 60:02d}:{seconds % 60:02d}"
+
+
+def number(value: float | int) -> str:
+    """A number for a table: thousands apart, four figures, a dash if it is not known."""
+    if not _known(value):
+        return "–"
+    if isinstance(value, int) or (value == round(value) and abs(value) < 1e15):
+        return f"{round(value):,}"
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+
+
+_CAR_NAMES = ("arrived", "parked", "left", "in_transit")
+
+
+def _known(value: float | int) -> bool:
+    return bool(np.isfinite(value))
+
+
+def _is_zero(value: float | int) -> bool | None:
+    return value == 0 if _known(value) else None
+
+
+def _span(seconds: float) -> str:
+    """Seconds in words, as precise as a reader wants."""
+    if not _known(seconds):
+        return "an unknown time"
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    if seconds < 3600:
+        return f"{round(seconds) // 60} min {round(seconds) % 60:02d} s"
+    minutes = round(seconds / 60)
+    return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def _percent(share: float) -> str:
+    return f"{share * 100:.0f} %" if _known(share) else "an unknown share"
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n:,} {what}{'' if n == 1 else 's'}"
+
+
+def _deadlock_line(m: Metrics) -> str:
+    found, lost = int(m["deadlocks_found"]), int(m["deadlocks_unresolved"])
+    if not found:
+        return "No deadlock arose."
+    if lost >= found:
+        return f"{_count(found, 'deadlock')} arose; none was resolved."
+    longest = f", the longest after {_span(m['deadlock_max_s'])}" if _known(m["deadlock_max_s"]) else ""
+    if lost > 0:
+        return f"{_count(found, 'deadlock')} arose; {found - lost} resolved{longest}; {lost} not resolved."
+    return f"{_count(found, 'deadlock')} arose, all resolved{longest}."
+
+
+def _title(run: Run) -> str:
+    """Garage, fleet, planner and seed, as far as they are known."""
+    scenario = run.meta.get("scenario") or {}
+    agvs = scenario.get("agvs", len(run.agvs))
+    parts = [scenario.get("garage") or run.meta.get("map") or run.name, _count(int(agvs), "AGV")]
+    parts += [scenario[key] for key in ("planner",) if key in scenario]
+    if "seed" in run.meta:
+        parts.append(f"seed {run.meta['seed']}")
+    return " · ".join(str(part) for part in parts)
+
+
+def _tiles(m: Metrics) -> list[tuple[str, str]]:
+    """The few figures shown large: value and caption."""
+    within = m["retrieval_within_300_s_share"]
+    tiles = [
+        (number(m["tasks_done"]), "tasks done"),
+        (_minutes(m["retrieval_wait_p50_s"]), "retrieval wait, median (min:s)"),
+        (_minutes(m["retrieval_wait_p95_s"]), "retrieval wait, 95 % (min:s)"),
+        (_percent(within) if _known(within) else "–", "retrievals within 5 min"),
+        (number(round(float(m["cars_out_per_hour"]), 1)), "cars out per hour"),
+        (number(m["deadlocks_found"]), "deadlocks found"),
+        (number(m["sumo_collisions"]), "collisions"),
+    ]
+    return [*tiles, (f"{m['wall_speed']:,.0f}×", "real time")] if _known(m["wall_speed"]) else tiles
+
+
+def _minutes(seconds: float) -> str:
+    return f"{round(seconds) // 60}:{round(seconds) % 60:02d}" if _known(seconds) else "–"
+
+
+def _service(m: Metrics) -> list[tuple[str, list[str]]]:
+    return [(label, [_minutes(m[f"{wait}_{q}_s"]) for q in _SERVICE_COLUMNS]) for wait, label in _SERVICE_ROWS]
+
+
+def _reason(row: Mapping[Any, Any]) -> str:
+    reason = f" ({row['reason']})" if isinstance(row.get("reason"), str) and row["reason"] else ""
+    return words(f"{row.get('stage', '')}{reason}")
+
+
+def _flat(value: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """Nested keys as dotted ones, values as text."""
+    rows = []
+    for key, item in value.items():
+        if isinstance(item, Mapping):
+            rows += _flat(item, f"{prefix}{key}.")
+        else:
+            rows.append((f"{prefix}{key}", "–" if item is None else str(item)))
+    return rows
+
+
+def _files(folder: Path) -> list[tuple[str, str, str]]:
+    """Name, size and SHA-256 of the run's files but the report."""
+    rows = []
+    for path in sorted(folder.iterdir()):
+        if path.is_file() and path.name != "report.html":
+            with path.open("rb") as file:
+                rows.append((path.name, f"{path.stat().st_size:,}", hashlib.file_digest(file, "sha256").hexdigest()))
+    return rows
+
+
+def _index_row(folder: Path, base: Path) -> dict[str, Any]:
+    run = load_run(folder)
+    metrics = run_metrics(run)
+    target = folder / ("report.html" if (folder / "report.html").is_file() else "run.json")
+    return {
+        "name": run.name,
+        "title": _title(run),
+        "link": Path(os.path.relpath(target, base)).as_posix(),
+        "status": run.meta.get("status", "–"),
+        "passed": all(check.passed is not False for check in checks(run, metrics)),
+        "done": f"{number(metrics['tasks_done'])} / {number(metrics['tasks_wanted'])}",
+        "cells": [
+            _minutes(metrics["retrieval_wait_p50_s"]),
+            _minutes(metrics["retrieval_wait_p95_s"]),
+            number(round(float(metrics["cars_out_per_hour"]), 1)),
+            number(metrics["throughput"]),
+            f"{metrics['agv_busy_share'] * 100:.0f} %" if _known(metrics["agv_busy_share"]) else "–",
+            f"{metrics['deadlocks_found']} / {metrics['deadlocks_unresolved']}",
+            f"{number(metrics['sumo_collisions'])} / {number(metrics['footprint_overlaps'])}",
+            number(metrics["least_clearance_m"]),
+            number(metrics["wall_speed"]),
+        ],
+    }
+
+
+def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    return Environment(
+        loader=PackageLoader("analysis"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def _write(path: Path, page: str) -> Path:
+    """Whole or not at all."""
+    temporary = path.with_suffix(".tmp")
+    temporary.write_text(page, encoding="utf-8")
+    os.replace(temporary, path)
+    return path
