@@ -23,6 +23,10 @@ from sumo_nets.graph import FloatArray
 #: car's axis, and inside the car or this many metres before or behind it.
 UNDER_ASIDE_M = 0.5
 UNDER_AHEAD_M = 1.5
+#: Bodies further apart than this are not measured.
+REACH_M = 10.0
+#: No parked car is larger than this.
+MAX_HALF_DIAGONAL_M = 5.0
 _MAX_PAIRS = 4096
 
 
@@ -69,7 +73,7 @@ class Clearance:
     Attributes:
         overlaps: how often two bodies came to overlap.
         overlap_steps: steps in which they did, summed over pairs.
-        agvs: the closest two AGVs ever came, None if they never came within reach.
+        agvs: the closest two AGVs ever came, None if they never came within ``REACH_M``.
         parked: the closest an AGV ever came to a parked car, None likewise.
     """
 
@@ -86,10 +90,10 @@ class Clearance:
 
 @dataclass(slots=True)
 class _Parked:
-    """Parked cars sorted by x: rows of centre x, y, cosine, sine, half length, half width."""
+    """Parked cars sorted by x: rows of centre x, y, cosine, sine, half length, half width, half diagonal."""
 
     names: list[str] = field(default_factory=list)
-    rows: FloatArray = field(default_factory=lambda: np.zeros((0, 6)))
+    rows: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
 
 
 class FootprintCheck:
@@ -98,7 +102,7 @@ class FootprintCheck:
     def __init__(self) -> None:
         self.events: list[Nearness] = []  #: every overlap, when it began
         self._parked = _Parked()
-        self._rows = np.zeros((0, 6))
+        self._rows = np.zeros((0, 7))
         self._pairs = np.zeros((_MAX_PAIRS, 2), dtype=np.int64)
         self._least = np.full(2, np.inf)
         self._closest: list[Nearness | None] = [None, None]
@@ -135,7 +139,7 @@ class FootprintCheck:
         """
         first = len(self._rows) != len(bodies.x)
         if first:
-            self._rows = np.full((len(bodies.x), 6), np.inf)
+            self._rows = np.full((len(bodies.x), 7), np.inf)
         found, agv, other, near, near_car = _look(
             bodies.x, bodies.y, bodies.angle, bodies.length, bodies.width, bodies.loaded, bool(self._overlapping),
             self._rows, self._parked.rows, self._least, self._pairs,
@@ -166,7 +170,7 @@ def rectangle_distance(a: FloatArray, b: FloatArray) -> float:
     Args:
         a, b: centre x, y, cosine and sine of the direction, half length, half width.
     """
-    return float(_distance(a, b))
+    return float(_distance(a[np.newaxis], 0, b[np.newaxis], 0, np.inf))
 
 
 @njit(cache=True, error_model="numpy")
@@ -180,36 +184,33 @@ def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, least, 
         row = rows[i]
         moved[i] = look_at_all or row[0] != cx or row[1] != cy or row[2] != c or row[3] != s
         row[0], row[1], row[2], row[3], row[4], row[5] = cx, cy, c, s, length[i] / 2, width[i] / 2
+        row[6] = math.hypot(row[4], row[5])
     found, agv, other, near, near_car = 0, -1, -1, -1, -1
+    # plain numbers, not rows, decide who is far away: a view of a row costs more than the comparison
     for i in range(n):
         if not moved[i]:
             continue
-        a = rows[i]
-        reach = math.hypot(a[4], a[5])
+        x0, y0, size = rows[i, 0], rows[i, 1], rows[i, 6]
         for j in range(n):
-            if j == i or (j < i and moved[j]):
+            limit = size + rows[j, 6] + min(least[0], REACH_M)
+            dx, dy = rows[j, 0] - x0, rows[j, 1] - y0
+            if dx * dx + dy * dy > limit * limit or j == i or (j < i and moved[j]):
                 continue
-            b = rows[j]
-            limit = reach + math.hypot(b[4], b[5]) + min(least[0], 10.0)
-            dx, dy = b[0] - a[0], b[1] - a[1]
-            if dx * dx + dy * dy > limit * limit:
-                continue
-            d = _distance(a, b)
+            d = _distance(rows, i, rows, j, least[0])
             if d < least[0]:
                 least[0], agv, other = d, i, j
             if d == 0.0 and found < len(pairs):
                 pairs[found, 0], pairs[found, 1] = min(i, j), max(i, j)
                 found += 1
-        widest = 8.0 + min(least[1], 2.0)  # further apart than this no two bodies of a usual size can matter
-        for p in range(np.searchsorted(parked[:, 0], a[0] - widest), len(parked)):
-            b = parked[p]
-            dx, dy = b[0] - a[0], b[1] - a[1]
+        widest = size + MAX_HALF_DIAGONAL_M + min(least[1], REACH_M)
+        for p in range(np.searchsorted(parked[:, 0], x0 - widest), len(parked)):
+            limit = size + parked[p, 6] + min(least[1], REACH_M)
+            dx, dy = parked[p, 0] - x0, parked[p, 1] - y0
             if dx > widest:
                 break
-            limit = reach + math.hypot(b[4], b[5]) + min(least[1], 2.0)
-            if dx * dx + dy * dy > limit * limit or (not loaded[i] and _under(a, b)):
+            if dx * dx + dy * dy > limit * limit or (not loaded[i] and _under(rows, i, parked, p)):
                 continue
-            d = _distance(a, b)
+            d = _distance(rows, i, parked, p, least[1])
             if d < least[1]:
                 least[1], near, near_car = d, i, p
             if d == 0.0 and found < len(pairs):
@@ -219,44 +220,49 @@ def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, least, 
 
 
 @njit(cache=True, error_model="numpy")
-def _under(a, b):  # type: ignore[no-untyped-def]
-    """Whether the middle of a's front or rear is inside b, or just before or behind it."""
-    for end in (a[4], -a[4]):
-        dx, dy = a[0] + end * a[2] - b[0], a[1] + end * a[3] - b[1]
-        along, aside = dx * b[2] + dy * b[3], dy * b[2] - dx * b[3]
-        if abs(aside) <= UNDER_ASIDE_M and abs(along) <= b[4] + UNDER_AHEAD_M:
+def _under(a, i, b, j):  # type: ignore[no-untyped-def]
+    """Whether the middle of the front or rear of a[i] is inside b[j], or just before or behind it."""
+    for end in (a[i, 4], -a[i, 4]):
+        dx, dy = a[i, 0] + end * a[i, 2] - b[j, 0], a[i, 1] + end * a[i, 3] - b[j, 1]
+        along, aside = dx * b[j, 2] + dy * b[j, 3], dy * b[j, 2] - dx * b[j, 3]
+        if abs(aside) <= UNDER_ASIDE_M and abs(along) <= b[j, 4] + UNDER_AHEAD_M:
             return True
     return False
 
 
 @njit(cache=True, error_model="numpy")
-def _distance(a, b):  # type: ignore[no-untyped-def]
-    """Room between two rectangles, 0 if they overlap.
+def _distance(a, i, b, j, enough):  # type: ignore[no-untyped-def]
+    """Room between the rectangles a[i] and b[j], 0 if they overlap; not exact where it is more than ``enough``.
 
-    They are apart if an axis of one of them separates them, and then the least distance is one from a corner.
+    They are apart if an axis of one of them separates them; the gap along it is a lower bound of the distance, and the
+    least distance is one from a corner.
     """
-    if _separated(a, b) or _separated(b, a):
-        return math.sqrt(min(_corners(a, b), _corners(b, a)))
-    return 0.0
+    gap = max(_gap(a, i, b, j), _gap(b, j, a, i))
+    if gap <= 0.0:
+        return 0.0
+    if gap > enough:
+        return gap
+    return math.sqrt(min(_corners(a, i, b, j), _corners(b, j, a, i)))
 
 
 @njit(cache=True, error_model="numpy")
-def _separated(a, b):  # type: ignore[no-untyped-def]
-    """Whether an axis of a separates a from b."""
-    dx, dy = b[0] - a[0], b[1] - a[1]
-    c, s = abs(a[2] * b[2] + a[3] * b[3]), abs(a[2] * b[3] - a[3] * b[2])
-    along = abs(dx * a[2] + dy * a[3]) > a[4] + b[4] * c + b[5] * s
-    return along or abs(dy * a[2] - dx * a[3]) > a[5] + b[4] * s + b[5] * c
+def _gap(a, i, b, j):  # type: ignore[no-untyped-def]
+    """The wider gap along the two axes of a[i]; negative where both overlap."""
+    dx, dy = b[j, 0] - a[i, 0], b[j, 1] - a[i, 1]
+    c, s = abs(a[i, 2] * b[j, 2] + a[i, 3] * b[j, 3]), abs(a[i, 2] * b[j, 3] - a[i, 3] * b[j, 2])
+    along = abs(dx * a[i, 2] + dy * a[i, 3]) - (a[i, 4] + b[j, 4] * c + b[j, 5] * s)
+    return max(along, abs(dy * a[i, 2] - dx * a[i, 3]) - (a[i, 5] + b[j, 4] * s + b[j, 5] * c))
 
 
 @njit(cache=True, error_model="numpy")
-def _corners(a, b):  # type: ignore[no-untyped-def]
-    """Least squared distance from a corner of a to b."""
+def _corners(a, i, b, j):  # type: ignore[no-untyped-def]
+    """Least squared distance from a corner of a[i] to b[j]."""
     best = np.inf
-    for end in (a[4], -a[4]):
-        for side in (a[5], -a[5]):
-            dx, dy = a[0] + end * a[2] - side * a[3] - b[0], a[1] + end * a[3] + side * a[2] - b[1]
-            along = max(abs(dx * b[2] + dy * b[3]) - b[4], 0.0)
-            aside = max(abs(dy * b[2] - dx * b[3]) - b[5], 0.0)
+    for end in (a[i, 4], -a[i, 4]):
+        for side in (a[i, 5], -a[i, 5]):
+            dx = a[i, 0] + end * a[i, 2] - side * a[i, 3] - b[j, 0]
+            dy = a[i, 1] + end * a[i, 3] + side * a[i, 2] - b[j, 1]
+            along = max(abs(dx * b[j, 2] + dy * b[j, 3]) - b[j, 4], 0.0)
+            aside = max(abs(dy * b[j, 2] - dx * b[j, 3]) - b[j, 5], 0.0)
             best = min(best, along * along + aside * aside)
     return best
