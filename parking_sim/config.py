@@ -76,17 +76,19 @@ class ControlConfig(_Options):
 class AgvConfig(_Options):
     """One type of AGV, all alike. Defaults follow the parking robots on the market."""
 
-    speed_empty_mps: float = Field(default=1.5, gt=0, le=20, description="top speed without a car, m/s")
-    speed_loaded_mps: float = Field(default=1.0, gt=0, le=20, description="top speed with a car, m/s")
-    accel_empty_mps2: float = Field(default=0.5, gt=0, le=10, description="acceleration without a car, m/s2")
-    accel_loaded_mps2: float = Field(default=0.3, gt=0, le=10, description="acceleration with a car, m/s2")
-    decel_mps2: float = Field(default=0.8, gt=0, le=10, description="deceleration, m/s2")
-    turn_empty_deg_s: float = Field(default=30.0, gt=0, description="turning in place without a car, degrees/s")
-    turn_loaded_deg_s: float = Field(default=20.0, gt=0, description="turning in place with a car, degrees/s")
+    empty_mps: float = Field(default=1.5, gt=0, le=20, description="top speed without a car, m/s")
+    loaded_mps: float = Field(default=1.0, gt=0, le=20, description="top speed with a car, m/s")
+    empty_accel: float = Field(default=0.5, gt=0, le=10, description="acceleration without a car, m/s2")
+    loaded_accel: float = Field(default=0.3, gt=0, le=10, description="acceleration with a car, m/s2")
+    braking: float = Field(default=0.8, gt=0, le=10, description="deceleration, m/s2")
+    empty_turn_dps: float = Field(default=30.0, gt=0, description="turning in place without a car, degrees/s")
+    loaded_turn_dps: float = Field(default=20.0, gt=0, description="turning in place with a car, degrees/s")
     lift_s: float = Field(default=20.0, ge=0, description="lifting a car, seconds")
     lower_s: float = Field(default=15.0, ge=0, description="lowering a car, seconds")
     length_m: float = Field(default=5.0, gt=0, le=20, description="length of the AGV, with or without a car, metres")
     width_m: float = Field(default=2.0, gt=0, le=5, description="width of the AGV, with or without a car, metres")
+    empty_kg: float = Field(default=1500.0, gt=0, description="mass of the AGV, kg")
+    car_kg: float = Field(default=1800.0, ge=0, description="mass of a car, kg")
     idle_w: float = Field(default=150.0, ge=0, description="power that electronics draw all the time, W")
     battery_wh: float = Field(
         default=6000.0, gt=0, description="battery capacity, Wh; the default lasts about 8 hours of driving"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
 import subprocess
 import sys
@@ -14,8 +15,10 @@ from pydantic import BaseModel
 import parking_sim
 from demand.park_exit import ParkExit
 from demand.workloads import WORKLOADS, make_demand
-from parking_sim.config import DEFAULT_AGVS, Scenario, load_scenario
+from parking_sim.assembly import agv_type
+from parking_sim.config import DEFAULT_AGVS, AgvConfig, Scenario, load_scenario
 from parking_sim.errors import InputError
+from parking_sim.plants.sumo_agv import AgvType
 from sumo_nets.read import read_net, shipped_nets
 
 EXAMPLES = sorted((Path(parking_sim.__file__).parent / "scenarios").glob("*.yaml"))
@@ -143,6 +146,13 @@ def test_no_such_scenario(source: str) -> None:
     with pytest.raises(InputError) as caught:
         load_scenario(source)
     assert "\n" not in str(caught.value)
+
+
+def test_every_property_of_an_agv_can_be_set_and_has_the_plants_default() -> None:
+    options = AgvConfig().model_dump()
+    for field in dataclasses.fields(AgvType):
+        assert options[field.name] == field.default
+    assert agv_type(AgvConfig(length_m=4.6, empty_mps=2.0)) == AgvType(length_m=4.6, empty_mps=2.0)
 
 
 def models_of(model: type[BaseModel], seen: set[type[BaseModel]]) -> set[type[BaseModel]]:
