@@ -180,6 +180,7 @@ def draw_utilisation(run: Run) -> Figure | None:
     for k, name in enumerate(ACTIVITIES):
         axes.barh(labels, shares[:, k], left=left, color=ACTIVITY_COLORS[name], label=name, height=0.8)
         left += shares[:, k]
+    axes.margins(y=0.01)
     axes.invert_yaxis()
     axes.set(xlim=(0, 1), xlabel="share of time")
     axes.xaxis.set_major_formatter("{x:.0%}")
@@ -209,7 +210,7 @@ def draw_deadlocks(run: Run) -> Figure | None:
                 "o",
                 color=color,
                 markersize=4.5,
-                label=stage.replace("_", " ").replace("cbs", "CBS"),
+                label=words(stage),
             )
     lost = _unresolved(found, resolved)
     if len(lost):
