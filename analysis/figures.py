@@ -97,7 +97,9 @@ def draw_waits(run: Run) -> Figure | None:
             axes.step(np.append(0.0, x[keep]), np.append(0.0, y[keep]), dash, where="post", color=color, label=label)
     for level in SERVICE_LEVELS_S:
         axes.axvline(level / 60.0, color=INK, linewidth=0.8, linestyle=":")
-        axes.annotate(f"{level} s", (level / 60.0, 0.0), (3, 3), textcoords="offset points", fontsize=8, color=INK)
+        if axes.get_xlim()[1] < 15.0:
+            at = (level / 60.0, 0.0)
+            axes.annotate(f"{level} s", at, (3, 3), textcoords="offset points", fontsize=8, color=INK)
     axes.set(xlabel="minutes", ylabel="share of customers", ylim=(0, 1.02))
     axes.set_xlim(left=0)
     axes.yaxis.set_major_formatter("{x:.0%}")
@@ -115,13 +117,13 @@ def draw_waits_over_time(run: Run) -> Figure | None:
         return None
     figure, (axes,) = _figure(2.5)
     big = len(asked) > 3000
+    end = float(run.meta.get("simulated_s") or asked["requested_s"].max())
     axes.plot(
         delivered["requested_s"],
         (delivered["delivered_s"] - delivered["requested_s"]) / 60.0,
         "o", color=BLUE, markersize=3, alpha=0.85, markeredgewidth=0, rasterized=big, label="delivered",
     )  # fmt: skip
     if len(waiting):
-        end = float(run.meta.get("simulated_s") or waiting["requested_s"].max())
         axes.plot(
             waiting["requested_s"], (end - waiting["requested_s"]) / 60.0, "x", color=RED, markersize=4,
             rasterized=big, label="still waiting at the end",
@@ -129,7 +131,7 @@ def draw_waits_over_time(run: Run) -> Figure | None:
         axes.legend(loc="upper right")
     for level in SERVICE_LEVELS_S:
         axes.axhline(level / 60.0, color=INK, linewidth=0.8, linestyle=":")
-    axes.set(xlabel="time of the request (h:mm)", ylabel="wait (minutes)")
+    axes.set(xlabel="time of the request (h:mm)", ylabel="wait (minutes)", xlim=(0.0, max(end, 1.0)))
     axes.set_ylim(bottom=0)
     _clock(axes)
     return figure
@@ -257,7 +259,7 @@ def draw_floor(run: Run) -> Figure | None:
     xy = vertices[["x_m", "y_m"]].to_numpy(dtype=np.float64)
     passed, stood = _per_vertex(xy, trajectory)
     lanes = run.edges[["tail", "head"]].to_numpy()
-    size = _cell_sizes(xy, lanes)
+    size = _cell_sizes(xy)
     spread = np.ptp(xy, axis=0) + 5.0
     wide = spread[0] > 1.4 * spread[1]
     panel = min(5.5, (WIDTH_IN - 0.9) * spread[1] / spread[0] if wide else 0.45 * WIDTH_IN * spread[1] / spread[0])
@@ -426,14 +428,12 @@ def _per_vertex(xy: NDArray[np.float64], trajectory: pd.DataFrame) -> tuple[NDAr
     return passed, stood
 
 
-def _cell_sizes(xy: NDArray[np.float64], lanes: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Side of the square drawn for each vertex: nine tenths of its shortest lane."""
-    length = np.linalg.norm(xy[lanes[:, 0]] - xy[lanes[:, 1]], axis=1)
-    size = np.full(len(xy), np.inf)
-    for end in (0, 1):
-        np.minimum.at(size, lanes[:, end], length)
-    size[~np.isfinite(size)] = 5.0
-    return 0.9 * size
+def _cell_sizes(xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Side of the square drawn for each vertex: nine tenths of the way to its nearest neighbour, at most 5 m."""
+    if len(xy) < 2:
+        return np.full(len(xy), 4.5)
+    apart = [float(np.partition(np.abs(xy - place).max(axis=1), 1)[1]) for place in xy]
+    return np.array([0.9 * min(side, 5.0) for side in apart])
 
 
 def _lines(xy: NDArray[np.float64], lanes: NDArray[np.int32]) -> NDArray[np.float64]:

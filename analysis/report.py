@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,7 +63,7 @@ def write_report(folder: Path) -> Path:
         headlines=headlines(run, metrics),
         checks=checks(run, metrics),
         tiles=_tiles(metrics),
-        asked=_flat(run.meta.get("scenario") or {}),
+        asked=_asked(run.meta.get("scenario") or {}),
         service=_service(metrics),
         service_columns=_SERVICE_COLUMNS,
         drawings=figures(run),
@@ -71,7 +72,7 @@ def write_report(folder: Path) -> Path:
         incidents=incidents(run)[:_STORIES],
         thesis=[(key, number(metrics[key]), *METRICS[key]) for key in _THESIS],
         metrics=[(key, number(metrics[key]), *METRICS[key]) for key in METRICS],
-        versions=_flat(run.meta.get("versions") or {}),
+        versions=sorted((run.meta.get("versions") or {}).items()),
         wall=[(part, f"{seconds:.2f} s") for part, seconds in (run.meta.get("wall_s") or {}).items()],
         digest=sorted((run.meta.get("digest") or {}).items()),
         files=_files(folder),
@@ -153,14 +154,15 @@ def checks(run: Run, metrics: Metrics) -> list[Check]:
         m["tasks_done"] >= wanted if _known(wanted) else None,
         f"{m['tasks_done']} of {number(wanted)}, {m['requests_waiting']} waiting, {m['requests_refused']} refused",
     )
-    conserved = bool(m["cars_conserved"]) if _known(m["cars_conserved"]) else None
+    problems = "; ".join(str(problem) for problem in run.meta.get("audit") or [])
+    conserved = bool(m["cars_conserved"]) and not problems if _known(m["cars_conserved"]) else None
     return [
         Check("No collision in SUMO", _is_zero(m["sumo_collisions"]), number(m["sumo_collisions"])),
         Check("No overlap seen by the independent check", _is_zero(m["footprint_overlaps"]), near),
         Check("Every deadlock was resolved", m["deadlocks_unresolved"] <= 0, f"{m['deadlocks_found']} found"),
         *([done] if endless else []),
         Check("Every request is accounted for", bool(m["requests_conserved"]), f"{m['requests']} requests"),
-        Check("Every car is accounted for", conserved, cars),
+        Check("Every car is accounted for", conserved, problems or cars),
     ]
 
 
@@ -188,7 +190,10 @@ def deadlock_stories(run: Run) -> list[dict[str, str]]:
                 "members": ", ".join(str(agv) for agv in row.get("members", [])),
                 "where": str(row["vertex"]),
                 "cause": words(row.get("cause", "")),
-                "tried": "; ".join(failed.get(number_, [])),
+                "tried": "; ".join(
+                    text if times == 1 else f"{text} × {times}"
+                    for text, times in Counter(failed.get(number_, [])).items()
+                ),
                 "stage": words(end["stage"]) if end else "",
                 "lasted": f"{end['cost_s']:.1f} s" if end else "",
             }
@@ -314,15 +319,21 @@ def _reason(row: Mapping[Any, Any]) -> str:
     return words(f"{row.get('stage', '')}{reason}")
 
 
-def _flat(value: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """Nested keys as dotted ones, values as text."""
-    rows = []
-    for key, item in value.items():
-        if isinstance(item, Mapping):
-            rows += _flat(item, f"{prefix}{key}.")
-        else:
-            rows.append((f"{prefix}{key}", "–" if item is None else str(item)))
-    return rows
+def _asked(scenario: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The scenario as rows: plain keys first, then one row for each group of keys."""
+    plain = [(key, _shown(value)) for key, value in scenario.items() if not isinstance(value, Mapping)]
+    groups = [
+        (key, ", ".join(f"{name} {_shown(item)}" for name, item in value.items()))
+        for key, value in scenario.items()
+        if isinstance(value, Mapping)
+    ]
+    return [*plain, *(group for group in groups if group[1])]
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.10g}" if isinstance(value, float) else "–" if value is None else str(value)
 
 
 def _files(folder: Path) -> list[tuple[str, str, str]]:

@@ -175,7 +175,8 @@ META: Mapping[str, tuple[str, str]] = {
     "cars_parked": ("cars", "cars in slots at the end"),
     "cars_left": ("cars", "cars that have left"),
     "cars_in_transit": ("cars", "cars in the street, at bays and on AGVs at the end"),
-    "wall_s": ("s", "wall-clock seconds: total, sumo, planning, execution, recording"),
+    "wall_s": ("s", "wall-clock seconds: total, and its parts by name"),
+    "audit": ("", "what the garage's own count of cars found wrong, in words; empty if nothing"),
     "digest": ("", "table -> SHA-256 of its rows without wall-clock columns; added by the recorder"),
 }
 

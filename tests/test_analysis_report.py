@@ -36,7 +36,13 @@ def test_report_holds_the_headline_numbers(folder: Path, page: str) -> None:
     assert f"{metrics['tasks_done']} of 120 tasks were done in 2 h 00 min" in page
     for line in headlines(run, metrics):
         assert line in page
-    for needed in ("parking-sim run map1 --agvs 6 --seed 7", "Seed 7.", "1.28.0", "workload.per_hour", "tasks.parquet"):
+    for needed in (
+        "parking-sim run map1 --agvs 6 --seed 7",
+        "Seed 7.",
+        "1.28.0",
+        "kind poisson, per_hour 60",
+        "tasks.parquet",
+    ):
         assert needed in page
     for check in checks(run, metrics):
         assert check.text in page
@@ -93,6 +99,7 @@ def test_deadlock_stories() -> None:
     recorder.event(3661.0, "deadlock_found", vertex="x", deadlock=4, members=[1, 2], cause="idle_in_the_way")
     recorder.event(3662.0, "stage_failed", deadlock=4, stage="partial_cbs", reason="no solution")
     recorder.event(3663.0, "stage_failed", deadlock=4, stage="leader")
+    recorder.event(3664.0, "stage_failed", deadlock=4, stage="leader")
     recorder.event(3671.0, "deadlock_resolved", deadlock=4, members=[1, 2], stage="pull_over", cost_s=10.0)
     recorder.event(3700.0, "deadlock_found", deadlock=5, members=[0], cause="head-on")
     first, second = deadlock_stories(recorded_run(recorder, {}))
@@ -101,7 +108,7 @@ def test_deadlock_stories() -> None:
         "members": "1, 2",
         "where": "x",
         "cause": "idle in the way",
-        "tried": "partial CBS (no solution); leader",
+        "tried": "partial CBS (no solution); leader × 2",
         "stage": "pull over",
         "lasted": "10.0 s",
     }
@@ -123,6 +130,10 @@ def test_incidents_and_failed_checks_are_told() -> None:
         "Every request is accounted for": False,
         "Every car is accounted for": None,
     }
+    counted = {"cars_initial": 0, "cars_arrived": 1, "cars_parked": 1, "cars_left": 0, "cars_in_transit": 0}
+    for audit, expected in (([], True), (["car c is in no slot"], False)):
+        audited = recorded_run(recorder, {**run.meta, **counted, "audit": audit})
+        assert checks(audited, run_metrics(audited))[-1].passed is expected
     timed = recorded_run(recorder, {**run.meta, "scenario": {"duration_s": 7200.0}})
     assert "Every task was done" not in {check.text for check in checks(timed, run_metrics(timed))}
 
