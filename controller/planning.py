@@ -197,6 +197,6 @@ def trails(executor: Executor, step: int) -> list[Path]:
     paths = []
     for agv, a in enumerate(executor.agvs):
         if len(a.trail) > 1:
-            left = executor.leave_steps(agv, step)
-            paths += [Path(TRAIL + agv, (v,), (0,), (), until) for v, until in zip(a.trail, left, strict=False)]
+            held = list(zip(a.trail, executor.leave_steps(agv, step), strict=True))[:-1]
+            paths += [Path(TRAIL + agv, (v,), (0,), (), until) for v, until in held]
     return paths

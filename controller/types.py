@@ -18,6 +18,13 @@ from sumo_nets.graph import Graph, IntArray
 #: "For ever": later than any step of a run, small enough to add durations to without overflow of int32.
 FOREVER = 1 << 29
 
+#: Steps of a turn that no AGV makes: so dear that no way with one in it is ever the best.
+NEVER = 1 << 20
+
+#: Bends sharper than this that are no reversal, as from one slot into the next one beside it, can't be driven: the body
+#: would fold over both spurs.
+FOLD_DEG = 135.0
+
 
 class AgvMode(StrEnum):
     """The eight states of an AGV (thesis 2025, section III)."""
@@ -145,11 +152,12 @@ def make_motion(
         out = int(graph.first_out[graph.head[e]])
         for k in range(int(first[e]), int(first[e + 1])):
             f = out + k - int(first[e])
-            angles[k] = 180.0 if f == graph.reverse[e] else round(graph.turn_deg(e, f), 3)
+            folds = f != graph.reverse[e] and graph.bend_deg(e, f) > FOLD_DEG
+            angles[k] = np.inf if folds else 180.0 if f == graph.reverse[e] else round(graph.turn_deg(e, f), 3)
     kinds, which = np.unique(angles, return_inverse=True)
 
     def table(steps: Callable[[float, bool], int]) -> IntArray:
-        rows = [[steps(float(a), loaded) for a in kinds] for loaded in (False, True)]
+        rows = [[NEVER if np.isinf(a) else steps(float(a), loaded) for a in kinds] for loaded in (False, True)]
         return np.array(rows, dtype=np.int32).reshape(2, -1)[:, which].reshape(2, len(angles))
 
     driving = [[edge_steps(float(x), loaded) for x in graph.length_m] for loaded in (False, True)]

@@ -49,7 +49,8 @@ def visiting_order(
 
     Args:
         paths: by AGV number.
-        holding: vertex of each AGV that has no path: it stays there, and nobody may be sent through.
+        holding: vertex of each AGV that has no path: it stays there, and whoever is sent through waits until a later
+            plan moves it away.
         graph, motion: the garage and how long moves take.
 
     Returns:
@@ -67,7 +68,7 @@ def visiting_order(
             if i + 1 < len(path.vertices):
                 entered = path.arrive[i + 1] if motion.following else path.depart[i]
     for agv, v in holding.items():
-        visits.setdefault(v, []).append((0, FOREVER, agv, 0))
+        visits.setdefault(v, []).append((0, 0, agv, 0))
     order: dict[int, deque[int]] = {}
     for v, rows in visits.items():
         rows.sort()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -129,22 +129,7 @@ def agv_type(config: AgvConfig) -> AgvType:
     """The plant's AGV from the scenario's."""
     from parking_sim.plants.sumo_agv import AgvType
 
-    return AgvType(
-        empty_mps=config.speed_empty_mps,
-        loaded_mps=config.speed_loaded_mps,
-        empty_accel=config.accel_empty_mps2,
-        loaded_accel=config.accel_loaded_mps2,
-        braking=config.decel_mps2,
-        empty_turn_dps=config.turn_empty_deg_s,
-        loaded_turn_dps=config.turn_loaded_deg_s,
-        lift_s=config.lift_s,
-        lower_s=config.lower_s,
-        length_m=config.length_m,
-        width_m=config.width_m,
-        idle_w=config.idle_w,
-        battery_wh=config.battery_wh,
-        charge_w=config.charge_w,
-    )
+    return AgvType(**config.model_dump(include={f.name for f in fields(AgvType)}))
 
 
 def _sumo_rules(config: AgvConfig, motion: Motion) -> Rules:
@@ -174,7 +159,7 @@ def control_options(config: ControlConfig, cell_steps: int, step_s: float) -> Co
 
     ladder = LadderLimits(
         patience_steps=2 * cell_steps,
-        stuck_steps=steps(config.stuck_s) if step_s < 1 else 5 * cell_steps,
+        stuck_steps=steps(config.stuck_s) if step_s < 1 else 20 * cell_steps,
         group=config.cbs_group,
         cbs=CbsLimits(
             expansions=config.cbs_expansions, nodes=config.cbs_nodes, constraints=config.cbs_constraints, ranges=True

@@ -57,7 +57,7 @@ class ControlConfig(_Options):
     score_scc: int = Field(default=5, ge=0, description="weight of a strongly connected component in the score")
     score_up: int = Field(default=24, ge=0, description="the window grows when the score is above this")
     score_down: int = Field(default=10, ge=0, description="the window shrinks when the score is below this")
-    stuck_s: float = Field(default=25.0, gt=0, description="seconds without progress after which an AGV is stuck")
+    stuck_s: float = Field(default=120.0, gt=0, description="seconds without progress after which an AGV is stuck")
     cbs_group: int = Field(default=5, ge=2, description="partial CBS: AGVs in a group at most")
     cbs_expansions: int = Field(default=64, ge=1, description="partial CBS: expansions of the constraint tree at most")
     cbs_nodes: int = Field(default=128, ge=1, description="partial CBS: nodes of the constraint tree at most")

@@ -9,14 +9,18 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from controller.garage import Job
 from controller.types import Action, AgvMode, Request
 from parking_sim.assembly import World, assemble
 from parking_sim.config import Scenario
 from parking_sim.folders import clear_run
 from parking_sim.plants import CarAtBay
 from parking_sim.record import AgvRow, Recorder, TaskRow
+
+if TYPE_CHECKING:
+    from parking_sim.footprint import FootprintCheck
 
 #: Simulated seconds without any task done or vertex granted, with work to do, after which a run is given up.
 STALLED_S = 7200.0
@@ -107,7 +111,9 @@ class _Run:
         self._wall = dict.fromkeys(("sumo", "control", "planning", "check", "record"), 0.0)
         self._moved = (0, 0)
         self._moved_s = 0.0
-        self._ready: list[Any] = []
+        self._ready: list[Job] = []
+        self._overlaps = 0
+        self._footprint: FootprintCheck | None = None
 
     @property
     def now_s(self) -> float:
@@ -120,7 +126,6 @@ class _Run:
         self._start = perf_counter()
         self.plant = self.world.plant(outputs, gui, fcd)
         self._sumo: Any = self.plant if self.world.scenario.plant == "sumo" else None
-        self._footprint: Any = None
         if self._sumo is not None:
             from parking_sim.footprint import FootprintCheck
 
@@ -241,6 +246,9 @@ class _Run:
             return
         t = perf_counter()
         self._footprint.step(self.now_s, self._sumo.bodies())
+        for near in self._footprint.events[self._overlaps :]:
+            self._log("overlap", near.agv, "", -1, {"others": [near.other], "clearance_m": near.clear_m})
+        self._overlaps = len(self._footprint.events)
         self._wall["check"] += perf_counter() - t
 
     def _park_initial(self) -> None:
@@ -264,6 +272,10 @@ class _Run:
         self._wall["record"] += perf_counter() - t
 
     def _log(self, kind: str, agv: int, car: str, vertex: int, detail: dict[str, object]) -> None:
+        if self._footprint is not None and kind == "lift":
+            self._footprint.lifted(car)
+        elif self._footprint is not None and kind == "lower" and vertex in self.garage.slot_of:
+            self._footprint.lowered(car, agv)
         self.recorder.event(self.now_s, kind, agv, car, self.names[vertex] if vertex >= 0 else "", **detail)
 
     def _tell(self) -> None:
@@ -290,7 +302,7 @@ class _Run:
         self.recorder.write(out, meta)
         return Summary(status, write_metrics(out), out)
 
-    def _task_row(self, job: Any) -> TaskRow:
+    def _task_row(self, job: Job) -> TaskRow:
         def name(vertex: int) -> str:
             return self.names[vertex] if vertex >= 0 else ""
 

@@ -106,8 +106,13 @@ class Graph:
         An AGV drives either way, so only its axis has to turn: a reversal is 0, a right angle 90, and no turn is
         more than 90.
         """
-        angle = abs(float(self.heading_deg[edge_out] - self.heading_deg[edge_in])) % 180.0
-        return min(angle, 180.0 - angle)
+        change = self.bend_deg(edge_in, edge_out)
+        return min(change, 180.0 - change)
+
+    def bend_deg(self, edge_in: int, edge_out: int) -> float:
+        """Change of heading between two edges in degrees: 0 straight on, 180 back."""
+        change = abs(float(self.heading_deg[edge_out] - self.heading_deg[edge_in])) % 360.0
+        return min(change, 360.0 - change)
 
     def to_networkx(self) -> nx.DiGraph[int]:
         """The same graph for model work outside the inner loops; edge attribute ``length_m``."""
