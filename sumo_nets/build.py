@@ -46,6 +46,7 @@ _OPTIONS = (
     "--no-turnarounds", "true",
     "--junctions.limit-turn-speed", "-1",
     "--junctions.internal-link-detail", "2",
+    "--geometry.min-radius", "0",
     "--geometry.min-radius.fix.railways", "false",
     "--offset.disable-normalization", "true",
 )  # fmt: skip

@@ -17,11 +17,11 @@ from sumo_nets.layout import FIELD_OF_ROLE, STEP, Layout, LayoutError, Side, Spu
 
 #: Side of the small square that is a vertex; lanes end at its rim, so a lane is this much shorter than its pitch.
 NODE_SIZE_M = 0.4
-#: A pair of spurs leaves the aisle slanted to this far left and right ...
-PAIR_OFFSET_M = 1.4
-#: ... reached at this depth, and then runs straight to this depth.
-PAIR_KNEE_M = 3.0
-PAIR_DEPTH_M = 9.0
+#: Two spurs side by side, as (depth, left or right of the middle) of their corners in metres. They share a straight
+#: throat and part behind it, so that a body on its way round the corner keeps 0.5 m from one that stands ahead and
+#: from the cars beside it; slanted from the aisle on, they would overlap. In the throat they are a little apart,
+#: because netconvert can't connect two lanes that end in one point.
+PAIR_SPURS_M = ((0.2, 0.06), (3.0, 0.06), (4.5, 1.75), (10.0, 1.75))
 #: Length of a straight spur, aisle vertex to spur vertex.
 SPUR_M = 7.0
 #: A roadside place in front of a bay, and the gap between the arriving and the leaving customer's place.
@@ -201,15 +201,14 @@ class _Planner:
         if per_cell == 1:
             self.plan_.vertices[name] = (x + out[0] * SPUR_M, y + out[1] * SPUR_M)
             return ()
-        across = PAIR_OFFSET_M * (1 if k else -1)
+        hand = 1 if k else -1
         # sideways is the outward direction turned right, so that the first of a pair is on its left
-        sideways = (out[1] * across, -out[0] * across)
-        knee, end = (
-            (x + out[0] * depth + sideways[0], y + out[1] * depth + sideways[1])
-            for depth in (PAIR_KNEE_M, PAIR_DEPTH_M)
+        *between, end = (
+            (x + out[0] * depth + out[1] * hand * aside, y + out[1] * depth - out[0] * hand * aside)
+            for depth, aside in PAIR_SPURS_M
         )
         self.plan_.vertices[name] = end
-        return (knee,)
+        return tuple(between)
 
     def _check_room(self) -> None:
         lanes = list(self.plan_.lanes.values())

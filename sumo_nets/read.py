@@ -85,6 +85,7 @@ class GarageNet:
             on the edge it came by, so a charger with several edges in has a station on each.
         street: the street, or None when hand-over is at home.
         shapes: centre line of each edge's lane in metres, each of shape (k, 2), aligned with the graph's edges.
+        street_shapes: centre line of each street edge in metres, by edge id.
         bidi: whether SUMO treats an edge and its reverse as one track, shape (m,).
     """
 
@@ -96,6 +97,7 @@ class GarageNet:
     charging_station_of_edge: Mapping[int, str]
     street: Street | None
     shapes: tuple[FloatArray, ...]
+    street_shapes: Mapping[str, FloatArray]
     bidi: np.ndarray[tuple[int], np.dtype[np.bool_]]
 
     @property
@@ -146,6 +148,7 @@ def read_net(name_or_path: str | Path) -> GarageNet:
         },
         street=street,
         shapes=tuple(_points(net.lanes[row.lane].shape) for row in rows),
+        street_shapes={name: _points(net.lanes[edge.lane].shape) for name, edge in net.street_edges().items()},
         bidi=np.array([row.bidi for row in rows], dtype=np.bool_),
     )
 
