@@ -3,8 +3,8 @@
 SUMO does not see AGVs that cross at a small node, and the controller is what is to be checked. So this knows neither of
 them: step by step it is given rectangles, and is told which cars were set down and lifted.
 
-An empty AGV is flat and may drive in under a parked car, along the car's axis, with its front or rear in the middle; a
-loaded one may not.
+An empty AGV is flat and may drive in under a parked car, along its axis, with the front or rear in the middle, and out
+again as it likes; a loaded one may not.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from sumo_nets.graph import FloatArray
 
-#: An empty AGV counts as under a parked car when the middle of its front or rear is within this many metres of the
-#: car's axis, and inside the car or this many metres before or behind it.
+#: An empty AGV gets under a parked car when the middle of its front or rear is within this many metres of the car's
+#: axis, and inside the car or this many metres before or behind it. It counts as under it until it is as far away.
 UNDER_ASIDE_M = 0.5
 UNDER_AHEAD_M = 1.5
 #: Bodies further apart than this are not measured.
@@ -90,10 +90,11 @@ class Clearance:
 
 @dataclass(slots=True)
 class _Parked:
-    """Parked cars sorted by x: rows of centre x, y, cosine, sine, half length, half width, half diagonal."""
+    """Parked cars sorted by x: rows of centre x, y, cosine, sine, half length, half width, half diagonal, number."""
 
     names: list[str] = field(default_factory=list)
-    rows: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
+    rows: FloatArray = field(default_factory=lambda: np.zeros((0, 8)))
+    count: int = 0
 
 
 class FootprintCheck:
@@ -103,6 +104,7 @@ class FootprintCheck:
         self.events: list[Nearness] = []  #: every overlap, when it began
         self._parked = _Parked()
         self._rows = np.zeros((0, 7))
+        self._under = np.zeros(0, dtype=np.int64)  # number of the parked car each AGV is under, -1 for none
         self._pairs = np.zeros((_MAX_PAIRS, 2), dtype=np.int64)
         self._least = np.full(2, np.inf)
         self._closest: list[Nearness | None] = [None, None]
@@ -118,7 +120,9 @@ class FootprintCheck:
         """
         if car in self._parked.names:
             raise KeyError(f"car {car} is parked already")
-        row = self._rows[agv]
+        row = np.append(self._rows[agv], self._parked.count)
+        self._under[agv] = self._parked.count
+        self._parked.count += 1
         at = int(np.searchsorted(self._parked.rows[:, 0], row[0]))
         self._parked.rows = np.insert(self._parked.rows, at, row, axis=0)
         self._parked.names.insert(at, car)
@@ -137,12 +141,12 @@ class FootprintCheck:
             time_s: simulated seconds.
             bodies: the AGVs, the same ones in the same order in each step.
         """
-        first = len(self._rows) != len(bodies.x)
-        if first:
+        if len(self._rows) != len(bodies.x):
+            self._under = np.full(len(bodies.x), -1)
             self._rows = np.full((len(bodies.x), 7), np.inf)
         found, agv, other, near, near_car = _look(
             bodies.x, bodies.y, bodies.angle, bodies.length, bodies.width, bodies.loaded, bool(self._overlapping),
-            self._rows, self._parked.rows, self._least, self._pairs,
+            self._rows, self._parked.rows, self._under, self._least, self._pairs,
         )  # fmt: skip
         if agv >= 0:
             self._closest[0] = Nearness(time_s, agv, other, float(self._least[0]))
@@ -174,7 +178,7 @@ def rectangle_distance(a: FloatArray, b: FloatArray) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, least, pairs):  # type: ignore[no-untyped-def]
+def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, under, least, pairs):  # type: ignore[no-untyped-def]
     """Update the rows; list overlapping pairs (a parked car p as -1 - p); lower ``least`` for AGVs and parked cars."""
     n = len(x)
     moved = np.zeros(n, dtype=np.bool_)
@@ -208,9 +212,16 @@ def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, least, 
             dx, dy = parked[p, 0] - x0, parked[p, 1] - y0
             if dx > widest:
                 break
-            if dx * dx + dy * dy > limit * limit or (not loaded[i] and _under(rows, i, parked, p)):
+            if dx * dx + dy * dy > limit * limit:
                 continue
-            d = _distance(rows, i, parked, p, least[1])
+            if not loaded[i] and _gets_under(rows, i, parked, p):
+                under[i] = parked[p, 7]
+                continue
+            d = _distance(rows, i, parked, p, max(least[1], UNDER_AHEAD_M))
+            if under[i] == parked[p, 7]:
+                if not loaded[i] and d < UNDER_AHEAD_M:
+                    continue
+                under[i] = -1
             if d < least[1]:
                 least[1], near, near_car = d, i, p
             if d == 0.0 and found < len(pairs):
@@ -220,7 +231,7 @@ def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, least, 
 
 
 @njit(cache=True, error_model="numpy")
-def _under(a, i, b, j):  # type: ignore[no-untyped-def]
+def _gets_under(a, i, b, j):  # type: ignore[no-untyped-def]
     """Whether the middle of the front or rear of a[i] is inside b[j], or just before or behind it."""
     for end in (a[i, 4], -a[i, 4]):
         dx, dy = a[i, 0] + end * a[i, 2] - b[j, 0], a[i, 1] + end * a[i, 3] - b[j, 1]

@@ -43,10 +43,9 @@ BATTERY_STEPS = 120
 #: Steps SUMO may take to bring all AGVs to a stand at the start.
 START_STEPS = 20
 
-# what is read of each AGV (numbers of the TraCI protocol)
-_ROAD, _POS, _XY, _ANGLE, _SPEED, _STOP = 0x50, 0x56, 0x42, 0x43, 0x40, 0xB5
-_READ = (_ROAD, _POS, _XY, _ANGLE, _SPEED, _STOP)
-_COLLIDING = 0x80
+#: An AGV this close to the end of its lane may have stopped there.
+NEAR_END_M = 0.2
+_STOPPED = 1  # bit of getStopState
 
 
 class PlantError(RuntimeError):
@@ -114,7 +113,6 @@ class SumoPlant:
         self.agv_type = agv_type
         self.motion = sumo_motion(garage.graph, agv_type, step_s)
         self.collisions = 0
-        self._clear_m = agv_type.width_m / 2 + REAR_MARGIN_M
         self._step = 0
         self._meeting: frozenset[tuple[str, str]] = frozenset()
         self._routes: set[tuple[int, ...]] = set()
@@ -141,7 +139,6 @@ class SumoPlant:
             self._open = True
             self._read_lanes(garage)
             self._agvs = [self._new_agv(i, e) for i, e in enumerate(first_edges)]
-            self._index = {a.name: i for i, a in enumerate(self._agvs)}
             self._customers = Customers(self._api, garage)
             self._stand()
         except (*self._errors, OSError) as error:
@@ -214,8 +211,11 @@ class SumoPlant:
 
     def samples(self) -> Sequence[AgvSample]:
         """Where each AGV is now."""
-        x, y, angle, speed = self._x, self._y, self._angle, self._speed
-        return [AgvSample(i, x[i], y[i], angle[i], speed[i]) for i in range(len(x))]
+        speed = self._api.vehicle.getSpeed
+        return [
+            AgvSample(i, x, y, _half_turn(math.degrees(angle)), speed(self._agvs[i].name) if i in self._moving else 0.0)
+            for i, (x, y, angle) in enumerate(self._place.T.tolist())
+        ]
 
     def close(self) -> None:
         """End SUMO and release its files; safe to call twice."""
@@ -234,14 +234,8 @@ class SumoPlant:
 
     def bodies(self) -> Bodies:
         """All AGV bodies as rectangles, for the footprint check."""
-        return Bodies(
-            np.array(self._x),
-            np.array(self._y),
-            np.radians(self._angle),
-            np.full(len(self._x), self.agv_type.length_m),
-            np.full(len(self._x), self.agv_type.width_m),
-            np.array(self._loaded),
-        )
+        x, y, angle = self._place.copy()
+        return Bodies(x, y, angle, self._length, self._width, self._loaded.copy())
 
     # ------------------------------------------------------------------ start
 
@@ -251,15 +245,30 @@ class SumoPlant:
         self._lane_m = [lane.getLength(f"{name}_0") for name in graph.edge_names]
         self._before_m: list[float] = []  # from the centre of the tail's node to the lane's begin
         self._pitch_m: list[float] = []  # from centre to centre
+        self._clear_m: list[float] = []  # from the tail's centre to where a rear is out of the way there
         for e, name in enumerate(graph.edge_names):
             shape = garage.shapes[e]
             before = math.dist(shape[0], graph.xy[graph.tail[e]])
             self._before_m.append(before)
             self._pitch_m.append(before + self._lane_m[e] + math.dist(shape[-1], graph.xy[graph.head[e]]))
-            if before + self._lane_m[e] - self.agv_type.length_m < self._clear_m - 1e-6:
+            clear, stands = self._clearance(garage, e), before + self._lane_m[e] - self.agv_type.length_m
+            self._clear_m.append(clear)
+            if stands < clear - 1e-6:
                 raise PlantError(f"edge {name} is too short: an AGV that stands on it touches the vertex behind it")
         for station in garage.charging_station_of_edge.values():
             self._api.chargingstation.setChargingPower(station, self.agv_type.charge_w)
+
+    def _clearance(self, garage: GarageNet, e: int) -> float:
+        """How far a rear must be from the edge's tail vertex to be out of everybody's way there.
+
+        Half a body's width, and on a spur with a bend the whole slanted part: two slots share one vertex, and the body
+        of an AGV that leaves one swings over the roots of both.
+        """
+        across = self.agv_type.width_m / 2 + REAR_MARGIN_M
+        shape = garage.shapes[e]
+        along = np.cumsum(np.hypot(*np.diff(shape, axis=0).T))[:-1] + self._before_m[e]
+        room = self._before_m[e] + self._lane_m[e] - self.agv_type.length_m
+        return max([across, *(float(bend) for bend in along if bend <= room)])
 
     def _new_agv(self, index: int, edge: int) -> _Agv:
         # the scale of at_m starts at the start vertex, so the lane's begin lies one pitch behind it
@@ -268,8 +277,9 @@ class SumoPlant:
 
     def _stand(self) -> None:
         n = len(self._agvs)
-        self._x, self._y, self._angle, self._speed = [0.0] * n, [0.0] * n, [0.0] * n, [0.0] * n
-        self._loaded = [False] * n
+        self._place = np.zeros((3, n))
+        self._loaded = np.zeros(n, dtype=np.bool_)
+        self._length, self._width = np.full(n, self.agv_type.length_m), np.full(n, self.agv_type.width_m)
         self._moving: set[int] = set()
         self._waiting: set[int] = set()
         self._actions: dict[int, int] = {}
@@ -282,35 +292,33 @@ class SumoPlant:
                 break
         else:
             raise PlantError("SUMO could not put all AGVs on their start vertices")
-        for i, a in enumerate(self._agvs):
-            self._keep(i, vehicle.getPosition(a.name), vehicle.getAngle(a.name), 0.0)
+        for i in range(n):
+            self._keep(i)
 
     # ------------------------------------------------------------------ reading
 
     def _read(self) -> None:
-        if not self._moving:
-            return
-        seen = self._api.vehicle.getAllSubscriptionResults()
-        for name, values in seen.items():
-            i = self._index.get(name, -1)
-            if i < 0:
-                continue
+        """Look at the AGVs that move. Getters, as they cost libsumo half of what subscriptions do."""
+        vehicle = self._api.vehicle
+        for i in sorted(self._moving):
             a = self._agvs[i]
-            self._keep(i, values[_XY], values[_ANGLE], values[_SPEED])
-            self._follow(a, values[_ROAD], values[_POS])
-            a.stopped = bool(values[_STOP] & 1)
-            if a.stopped and a.k == a.applied:
-                a.reached = a.k
-                if not a.pending:
-                    self._rest(i)
-                    continue
+            road, pos = vehicle.getRoadID(a.name), vehicle.getLanePosition(a.name)
+            self._keep(i)
+            self._follow(a, road, pos)
+            if a.k == a.applied and not a.on_junction and pos >= self._lane_m[a.edges[a.k]] - NEAR_END_M:
+                a.stopped = bool(vehicle.getStopState(a.name) & _STOPPED)
+                if a.stopped:
+                    a.reached = a.k
+                    if not a.pending:
+                        self._rest(i)
+                        continue
             self._report(i, False)
 
-    def _keep(self, i: int, xy: tuple[float, float], navigation_deg: float, speed: float) -> None:
-        self._x[i], self._y[i] = xy
-        angle = 90.0 - navigation_deg
-        self._angle[i] = angle if angle > -180.0 else angle + 360.0
-        self._speed[i] = speed
+    def _keep(self, i: int) -> None:
+        """Where it is, for the footprint check and the trajectory; SUMO counts degrees clockwise from north."""
+        vehicle, name = self._api.vehicle, self._agvs[i].name
+        self._place[0, i], self._place[1, i] = vehicle.getPosition(name)
+        self._place[2, i] = math.radians(90.0 - vehicle.getAngle(name))
 
     def _follow(self, a: _Agv, road: str, pos: float) -> None:
         """Move the front's edge, and the vertices that the rear has left, up to what SUMO says."""
@@ -325,8 +333,8 @@ class SumoPlant:
             a.reached = a.k - 1
             a.rear_m = a.at_m[a.k - 1] + self._before_m[a.edges[a.k]] - self.agv_type.length_m
         a.on_junction = False
-        rear = a.rear_m + pos - self._clear_m + 1e-6
-        while a.left < a.k and rear >= a.at_m[a.left]:
+        rear = a.rear_m + pos + 1e-6
+        while a.left < a.k and rear >= a.at_m[a.left] + self._clear_m[a.edges[a.left + 1]]:
             a.left += 1
 
     def _report(self, i: int, standing: bool) -> None:
@@ -337,7 +345,6 @@ class SumoPlant:
     def _rest(self, i: int) -> None:
         """It has come to a stand at the end of its authority: no need to look at it until it is told something."""
         self._moving.discard(i)
-        self._api.vehicle.unsubscribe(self._agvs[i].name)
         self._read_battery(i)
         self._report(i, self._agvs[i].acting is None)
 
@@ -396,7 +403,6 @@ class SumoPlant:
         if a.stopped:
             a.stopped = False
             vehicle.resume(a.name)
-            vehicle.subscribe(a.name, _READ)
             self._moving.add(i)
         else:
             vehicle.setStop(a.name, self._edge_names[old], self._lane_m[old], duration=0.0)
@@ -450,6 +456,11 @@ def _start_edges(graph: Graph, starts: Sequence[int]) -> list[int]:
             raise PlantError(f"no edge leads to {graph.names[vertex]}: an AGV cannot start there")
         edges.append(into[0])
     return edges
+
+
+def _half_turn(angle_deg: float) -> float:
+    """The same direction between -180 (exclusive) and 180 degrees."""
+    return angle_deg if angle_deg > -180.0 else angle_deg + 360.0
 
 
 def _load_api(gui: bool) -> tuple[Any, str]:
