@@ -429,11 +429,11 @@ def _per_vertex(xy: NDArray[np.float64], trajectory: pd.DataFrame) -> tuple[NDAr
 
 
 def _cell_sizes(xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Side of the square drawn for each vertex: nine tenths of the way to its nearest neighbour, at most 5 m."""
+    """Side of the square drawn for each vertex: nine tenths of the way to its neighbour, 2 to 4.5 m."""
     if len(xy) < 2:
         return np.full(len(xy), 4.5)
     apart = [float(np.partition(np.abs(xy - place).max(axis=1), 1)[1]) for place in xy]
-    return np.array([0.9 * min(side, 5.0) for side in apart])
+    return np.array([0.9 * min(max(side, 2.2), 5.0) for side in apart])
 
 
 def _lines(xy: NDArray[np.float64], lanes: NDArray[np.int32]) -> NDArray[np.float64]:
