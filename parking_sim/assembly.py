@@ -24,6 +24,7 @@ from parking_sim.config import AgvConfig, ControlConfig, Scenario
 from parking_sim.errors import InputError
 from parking_sim.plants import Plant
 from parking_sim.rulesets import RULE_SETS, TickRules
+from sumo_nets.doors import one_door_each
 from sumo_nets.read import GarageNet, read_net, shipped_nets
 
 if TYPE_CHECKING:
@@ -106,6 +107,7 @@ def assemble(scenario: Scenario) -> World:
     else:
         from parking_sim.plants.sumo_agv import sumo_motion
 
+        net = one_door_each(net)
         kind = agv_type(scenario.agv)
         motion = sumo_motion(net.graph, kind, scenario.step_s)
         rules = _sumo_rules(scenario.agv, motion)
