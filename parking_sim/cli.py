@@ -6,6 +6,7 @@ Everything heavy is imported where it is used, so that ``--help`` answers at onc
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -152,7 +153,6 @@ def build_net(
 def check_net(nets: Annotated[list[str], typer.Argument(help="Shipped garages or net files.")]) -> None:
     """Check nets: every slot reachable from every bay and back, two-way lanes whole, SUMO loads them silently."""
     from sumo_nets.check import check_net as check
-
     from sumo_nets.read import read_net
 
     faults = 0
@@ -171,7 +171,6 @@ def draw_net(
 ) -> None:
     """Draw a net as a picture."""
     from sumo_nets.draw import draw_net as draw
-
     from sumo_nets.read import read_net
 
     if out.suffix not in (".svg", ".png"):
@@ -265,7 +264,7 @@ def _print_summary(summary: Summary, folder: Path, page: Path | None) -> None:
     print(summary.status)
     for key, words in shown:
         value = summary.metrics.get(key)
-        if value is not None:
+        if isinstance(value, int | float) and not math.isnan(value):
             print(f"  {words:26} {value:.6g}" if isinstance(value, float) else f"  {words:26} {value}")
     print(f"record: {folder}")
     if page is not None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import queue
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from contextlib import nullcontext
 from pathlib import Path
@@ -47,6 +48,8 @@ def run_demo(out: Path, force: bool, quiet: bool) -> int:
     folders = {name: out / name for name in MAPS}
     for folder in folders.values():
         check_folder(folder, force)
+    if not quiet:
+        print(f"{', '.join(sorted(MAPS))} in SUMO, side by side; this takes some minutes", file=sys.stderr)
     summaries = _run_all(folders, quiet or not sys.stderr.isatty())
     names = sorted(summaries)
     Console().print(results_table({name: summaries[name] for name in names}))
@@ -69,6 +72,9 @@ def complaints_of(summary: Summary) -> list[str]:
         complaints.append(f"{metrics['tasks_done']} of {metrics['tasks_wanted']} tasks done")
     if metrics["deadlocks_unresolved"]:
         complaints.append(f"{metrics['deadlocks_unresolved']} deadlocks not resolved")
+    for key in ("requests_conserved", "cars_conserved"):
+        if not metrics[key]:
+            complaints.append(f"{key.split('_')[0]} not conserved")
     for key in ("sumo_collisions", "footprint_overlaps"):
         if metrics[key]:
             complaints.append(f"{metrics[key]} {key.replace('_', ' ')}")
@@ -82,41 +88,36 @@ def results_table(summaries: Mapping[str, Summary]) -> Table:
         summaries: a run's name -> its outcome.
 
     Returns:
-        One row a run.
+        One column a run.
     """
     table = Table(title="every car parked, then every car brought back")
-    table.add_column("map")
-    for heading in (
-        "AGVs",
-        "tasks done",
-        "SUMO collisions",
-        "footprint overlaps",
-        "least clearance m",
-        "deadlocks found / resolved",
-        "tasks/h",
-        "retrieval p95 s",
-        "simulated h",
-        "speed",
-    ):
-        table.add_column(heading, justify="right")
-    for name, summary in summaries.items():
-        table.add_row(name, str(DEFAULT_AGVS[name]), *_cells(summary.metrics))
+    table.add_column()
+    for name in summaries:
+        table.add_column(name, justify="right")
+    columns = [_figures(DEFAULT_AGVS[name], summary.metrics) for name, summary in summaries.items()]
+    for heading in columns[0] if columns else ():
+        table.add_row(heading, *(column[heading] for column in columns))
     return table
 
 
-def _cells(metrics: Mapping[str, Any]) -> Sequence[str]:
+def _figures(agvs: int, metrics: Mapping[str, Any]) -> dict[str, str]:
     hours = metrics["simulated_s"] / 3600
-    return (
-        f"{metrics['tasks_done']} / {metrics['tasks_wanted']}",
-        str(metrics["sumo_collisions"]),
-        str(metrics["footprint_overlaps"]),
-        f"{metrics['least_clearance_m']:.2f}",
-        f"{metrics['deadlocks_found']} / {metrics['deadlocks_resolved']}",
-        f"{metrics['tasks_done'] / hours:.1f}" if hours else "-",
-        f"{metrics['retrieval_wait_p95_s']:.0f}",
-        f"{hours:.1f}",
-        f"{metrics['wall_speed']:.0f}x",
-    )
+    return {
+        "AGVs": str(agvs),
+        "tasks done": f"{metrics['tasks_done']} / {metrics['tasks_wanted']}",
+        "SUMO collisions": str(metrics["sumo_collisions"]),
+        "footprint overlaps": str(metrics["footprint_overlaps"]),
+        "least clearance, m": _known(metrics["least_clearance_m"], 2),
+        "deadlocks found / resolved": f"{metrics['deadlocks_found']} / {metrics['deadlocks_resolved']}",
+        "throughput, tasks/h": _known(metrics["tasks_done"] / hours if hours else math.nan, 1),
+        "retrieval wait p95, s": _known(metrics["retrieval_wait_p95_s"], 0),
+        "simulated hours": f"{hours:.1f}",
+        "speed, simulated s/s": f"{metrics['wall_speed']:.0f}",
+    }
+
+
+def _known(value: float, digits: int) -> str:
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"
 
 
 def _run_all(folders: Mapping[str, Path], quiet: bool) -> dict[str, Summary]:
@@ -155,7 +156,6 @@ def _start_worker(reports: Any) -> None:
 
 def _run_one(name: str, folder: Path) -> Summary:
     from analysis.report import write_report
-
     from parking_sim.simulation import simulate
 
     def tell(progress: Progress) -> None:

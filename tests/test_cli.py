@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -9,10 +10,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from parking_sim import cli
+from parking_sim.demo import MAPS, complaints_of, results_table
 from parking_sim.errors import InputError
 from parking_sim.folders import RUN_FILE, check_folder, clear_run
+from parking_sim.plants.discrete import DiscretePlant
+from parking_sim.simulation import Summary
 
 SMALL = "garage: map1\nagvs: 2\nplant: discrete\nworkload: {kind: park_exit, cars: 3}\n"
 CSV = "garage: map1\nagvs: 2\nworkload: {kind: csv, path: log.csv}\n"
@@ -197,3 +202,100 @@ def test_a_folder_of_other_files_is_never_cleared(tmp_path: Path) -> None:
     assert (tmp_path / "precious.json").exists()
     with pytest.raises(InputError):
         check_folder(tmp_path, force=True)
+
+
+FINISHED = {
+    "tasks_done": 4,
+    "tasks_wanted": 4,
+    "simulated_s": 1800.0,
+    "sumo_collisions": 0,
+    "footprint_overlaps": 0,
+    "least_clearance_m": 0.51,
+    "deadlocks_found": 1,
+    "deadlocks_resolved": 1,
+    "deadlocks_unresolved": 0,
+    "retrieval_wait_p95_s": 250.0,
+    "requests_conserved": 1,
+    "cars_conserved": 1,
+    "wall_speed": 900.0,
+}
+
+
+@pytest.mark.parametrize(
+    ("status", "change", "complaint"),
+    [
+        ("finished", {}, None),
+        ("stalled", {}, "ended with status 'stalled'"),
+        ("finished", {"tasks_done": 3}, "3 of 4 tasks done"),
+        ("finished", {"sumo_collisions": 2}, "2 sumo collisions"),
+        ("finished", {"footprint_overlaps": 1}, "1 footprint overlaps"),
+        ("finished", {"deadlocks_unresolved": 1}, "1 deadlocks not resolved"),
+        ("finished", {"cars_conserved": 0}, "cars not conserved"),
+    ],
+)
+def test_the_demo_complains_of_all_that_is_incomplete_or_unsafe(
+    status: str, change: dict[str, int], complaint: str | None
+) -> None:
+    summary = Summary(status, {**FINISHED, **change}, None)
+    assert complaints_of(summary) == ([complaint] if complaint else [])
+
+
+def test_the_demo_table_fits_a_narrow_terminal() -> None:
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(results_table({name: Summary("finished", FINISHED, None) for name in MAPS}))
+    text = console.export_text()
+    assert "…" not in text
+    for words_in_it in ("4 / 4", "0.51", "1 / 1", "8.0", "250", "900"):
+        assert words_in_it in text
+
+
+def test_a_run_writes_its_record_and_says_where(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert call(words("run small.yaml --out run")) == 0
+    out, err = capfd.readouterr()
+    assert err == ""
+    assert out.startswith("finished\n")
+    assert "report: run/report.html" in out
+    assert json.loads((workplace / "run" / RUN_FILE).read_text())["status"] == "finished"
+    assert (workplace / "run" / "report.html").is_file()
+
+
+def test_a_quiet_run_says_nothing(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert call(words("run small.yaml --out run -q --no-report")) == 0
+    assert capfd.readouterr() == ("", "")
+    assert not (workplace / "run" / "report.html").exists()
+
+
+def test_without_a_folder_each_run_gets_a_new_one(workplace: Path) -> None:
+    assert call(words("run small.yaml -q --no-report")) == 0
+    (folder,) = (workplace / "runs").iterdir()
+    assert folder.name.startswith("small-")
+
+
+def test_force_replaces_a_run(workplace: Path) -> None:
+    (workplace / "taken" / "fcd.xml.gz").touch()
+    assert call(words("run small.yaml --out taken --force -q --no-report")) == 0
+    assert not (workplace / "taken" / "fcd.xml.gz").exists()
+    assert json.loads((workplace / "taken" / RUN_FILE).read_text())["status"] == "finished"
+
+
+def test_ctrl_c_leaves_a_readable_record(workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    step, steps = DiscretePlant.step, []
+
+    def interrupted(plant: DiscretePlant) -> None:
+        steps.append(1)
+        if len(steps) == 50:
+            raise KeyboardInterrupt
+        step(plant)
+
+    monkeypatch.setattr(DiscretePlant, "step", interrupted)
+    assert call(words("run small.yaml --out run -q")) == 130
+    assert json.loads((workplace / "run" / RUN_FILE).read_text())["status"] == "interrupted"
+    assert (workplace / "run" / "report.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("duration", "code"), [("max_time_s: 60", 1), ("duration_s: 60", 0)], ids=["given up", "end asked for"]
+)
+def test_only_an_end_that_was_asked_for_is_a_success(workplace: Path, duration: str, code: int) -> None:
+    (workplace / "short.yaml").write_text(f"{SMALL}{duration}\n", encoding="utf-8")
+    assert call(words("run short.yaml --out run -q --no-report")) == code
