@@ -56,8 +56,8 @@ class _Agv:
     """What the plant remembers of one AGV. Edge number k ends at granted vertex k; its front is on edge ``k``."""
 
     __slots__ = (
-        "acting", "applied", "at_m", "edges", "k", "left", "name", "on_junction", "pending", "reached", "rear_m",
-        "road", "soc", "stopped",
+        "acting", "applied", "at_m", "edges", "k", "left", "name", "near_end", "on_junction", "pending", "reached",
+        "rear_m", "road", "soc", "stopped",
     )  # fmt: skip
 
     def __init__(self, name: str, edge: int, road: str, rear_m: float) -> None:
@@ -71,6 +71,7 @@ class _Agv:
         self.reached = 0
         self.left = 0
         self.stopped = True
+        self.near_end = True  # the next step may end on another edge
         self.on_junction = False
         self.pending = False  # granted further than ``applied``
         self.acting: Act | None = None
@@ -115,6 +116,8 @@ class SumoPlant:
         self.collisions = 0
         self._step = 0
         self._meeting: frozenset[tuple[str, str]] = frozenset()
+        self._reach_m = max(agv_type.empty_mps, agv_type.loaded_mps) * step_s + NEAR_END_M
+        self._due = 0  # step at which the next action ends
         self._routes: set[tuple[int, ...]] = set()
         self._temporary = tempfile.TemporaryDirectory() if outputs is None else None
         folder = Path(self._temporary.name) if self._temporary else Path(outputs or ".")
@@ -198,7 +201,8 @@ class SumoPlant:
             self._api.simulationStep()
             self._step += 1
             self._read()
-            self._finish_actions()
+            if self._actions and self._due <= self._step:
+                self._finish_actions()
             self._customers.after_step()
             if self._step % BATTERY_STEPS == 0:
                 self._read_batteries()
@@ -302,40 +306,50 @@ class SumoPlant:
         vehicle = self._api.vehicle
         for i in sorted(self._moving):
             a = self._agvs[i]
-            road, pos = vehicle.getRoadID(a.name), vehicle.getLanePosition(a.name)
-            self._keep(i)
-            self._follow(a, road, pos)
-            if a.k == a.applied and not a.on_junction and pos >= self._lane_m[a.edges[a.k]] - NEAR_END_M:
-                a.stopped = bool(vehicle.getStopState(a.name) & _STOPPED)
-                if a.stopped:
+            pos = vehicle.getLanePosition(a.name)
+            if a.near_end and not self._enter_next_edge(a, vehicle.getRoadID(a.name)):
+                a.reached = a.k  # between two edges
+            else:
+                self._leave_behind(a, pos)
+                if a.near_end and self._stands(a, pos):
                     a.reached = a.k
                     if not a.pending:
+                        self._keep(i)
                         self._rest(i)
                         continue
+            self._keep(i)
             self._report(i, False)
+
+    def _enter_next_edge(self, a: _Agv, road: str) -> bool:
+        """Move the front's edge up to where SUMO says it is; False on a junction."""
+        a.on_junction = road[0] == ":"
+        if a.on_junction:
+            return False
+        if road != a.road:
+            while a.road != road:
+                a.k += 1
+                a.road = self._edge_names[a.edges[a.k]]
+            a.reached = a.k - 1
+            a.rear_m = a.at_m[a.k - 1] + self._before_m[a.edges[a.k]] - self.agv_type.length_m
+        return True
+
+    def _leave_behind(self, a: _Agv, pos: float) -> None:
+        """Free the vertices that the rear has left, and see whether the next step may end on another edge."""
+        a.near_end = pos + self._reach_m >= self._lane_m[a.edges[a.k]]
+        rear = a.rear_m + pos + 1e-6
+        while a.left < a.k and rear >= a.at_m[a.left] + self._clear_m[a.edges[a.left + 1]]:
+            a.left += 1
+
+    def _stands(self, a: _Agv, pos: float) -> bool:
+        if a.k == a.applied and pos >= self._lane_m[a.edges[a.k]] - NEAR_END_M:
+            a.stopped = bool(self._api.vehicle.getStopState(a.name) & _STOPPED)
+        return a.stopped
 
     def _keep(self, i: int) -> None:
         """Where it is, for the footprint check and the trajectory; SUMO counts degrees clockwise from north."""
         vehicle, name = self._api.vehicle, self._agvs[i].name
         self._place[0, i], self._place[1, i] = vehicle.getPosition(name)
         self._place[2, i] = math.radians(90.0 - vehicle.getAngle(name))
-
-    def _follow(self, a: _Agv, road: str, pos: float) -> None:
-        """Move the front's edge, and the vertices that the rear has left, up to what SUMO says."""
-        if road != a.road:
-            if road[0] == ":":
-                a.on_junction = True
-                a.reached = a.k
-                return
-            while a.road != road:
-                a.k += 1
-                a.road = self._edge_names[a.edges[a.k]]
-            a.reached = a.k - 1
-            a.rear_m = a.at_m[a.k - 1] + self._before_m[a.edges[a.k]] - self.agv_type.length_m
-        a.on_junction = False
-        rear = a.rear_m + pos + 1e-6
-        while a.left < a.k and rear >= a.at_m[a.left] + self._clear_m[a.edges[a.left + 1]]:
-            a.left += 1
 
     def _report(self, i: int, standing: bool) -> None:
         a, old = self._agvs[i], self._states[i]
@@ -416,6 +430,7 @@ class SumoPlant:
             raise PlantError(f"AGV {i} cannot {command.action.value}: it is not standing idle")
         a.acting = command
         self._actions[i] = self._step + command.steps
+        self._due = min(self._actions.values())
         if command.steps <= 0:
             self._guard(self._finish_actions)
         else:
@@ -433,6 +448,7 @@ class SumoPlant:
                 self._load(i, False)
             self._read_battery(i)
             self._report(i, not a.pending)
+        self._due = min(self._actions.values(), default=0)
 
     def _load(self, i: int, loaded: bool) -> None:
         self._loaded[i] = loaded
