@@ -22,7 +22,7 @@ MIN_LANE_M = AGV_LENGTH_M + 0.3
 #: AGVs closer than this count as a mistake of the layout.
 MIN_GAP_M = 0.2
 #: A moving body is looked at each time its front has come this much further.
-_SAMPLE_M = 0.25
+_SAMPLE_M = 0.4
 _FOLD_COSINE = -0.9
 #: Moving bodies looked at in one go; bounds the memory.
 _BATCH = 20_000
@@ -174,7 +174,10 @@ def _close_pairs(a: FloatArray, b: FloatArray) -> tuple[IntArray, IntArray]:
         first.append(np.repeat(np.arange(len(a)), count))
         within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         second.append(order[np.repeat(low, count) + within])
-    return np.concatenate(first).astype(np.int32), np.concatenate(second).astype(np.int32)
+    i, j = np.concatenate(first), np.concatenate(second)
+    between = a[i, :2] - b[j, :2]
+    near = (between * between).sum(axis=1) < reach * reach
+    return i[near].astype(np.int32), j[near].astype(np.int32)
 
 
 def _least(

@@ -26,6 +26,7 @@ _COLOURS: dict[Role, str] = {
 _DRAWN: tuple[Role, ...] = ("slot", "refuge", "charger", "bay", "home")
 _LANE_M = 1.0
 _METRES_PER_INCH = 14.0
+_WIDEST_DOTS = 2400.0
 
 
 def draw_net(garage: GarageNet, path: str | Path) -> None:
@@ -62,10 +63,11 @@ def draw_net(garage: GarageNet, path: str | Path) -> None:
     _draw_lanes(axes, garage)
     _draw_places(axes, garage)
     axes.legend(handles=_legend(garage), loc="upper left", bbox_to_anchor=(0, 0), ncols=9, fontsize=8, frameon=False)
+    dots = min(110.0, _WIDEST_DOTS / figure.get_figwidth())
     # a fixed salt and no date: the same net gives the same bytes
     with rc_context({"svg.hashsalt": garage.name, "svg.fonttype": "none"}):
         metadata = {"Date": None} if target.suffix == ".svg" else {"Software": None}
-        figure.savefig(target, dpi=110, metadata=metadata)
+        figure.savefig(target, dpi=dots, metadata=metadata)
 
 
 def _bounds(garage: GarageNet, streets: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
@@ -97,8 +99,8 @@ def _draw_lanes(axes: Axes, garage: GarageNet) -> None:
 
     graph = garage.graph
     ends = [graph.xy[[u, v]] for u, v in zip(graph.tail, graph.head, strict=True)]
-    leaves = np.array([_is_leaf(garage, int(v)) for v in range(len(graph.names))])
-    spur = leaves[graph.tail] | leaves[graph.head]
+    spurs = np.array(sorted(_spur_ends(garage)), dtype=np.int32)
+    spur = np.isin(graph.tail, spurs) | np.isin(graph.head, spurs)
     two_way = graph.reverse >= 0
     lines: tuple[tuple[Any, str, float, float], ...] = (
         (spur & two_way, _SPUR, 0.25, 2.0),
@@ -114,20 +116,27 @@ def _draw_lanes(axes: Axes, garage: GarageNet) -> None:
         _arrow(axes, ends[e], 0.62, _ONE_WAY, 0.9)
 
 
-def _is_leaf(garage: GarageNet, v: int) -> bool:
-    """Whether the vertex is the end of a spur: one lane in, one out, the same neighbour."""
-    out = garage.graph.successors[v]
-    return len(out) == 1 and int((garage.graph.head == v).sum()) == 1 and v in garage.graph.successors[out[0]]
+def _spur_ends(garage: GarageNet) -> set[int]:
+    """Ends of spurs: one lane in, one out, the same neighbour. An open floor, where slots are aisle too, has none."""
+    graph = garage.graph
+    entries = np.bincount(graph.head, minlength=len(graph.names))
+    ends = {
+        v
+        for v, out in enumerate(graph.successors)
+        if len(out) == 1 and entries[v] == 1 and v in graph.successors[out[0]]
+    }
+    return ends if ends.issuperset(graph.slots) else set()
 
 
 def _draw_places(axes: Axes, garage: GarageNet) -> None:
     from matplotlib.collections import PolyCollection
 
     graph = garage.graph
+    spurs = _spur_ends(garage)
     for k, role in enumerate(_DRAWN):
         boxes = []
         for v in graph.roles[role]:
-            if _is_leaf(garage, v):
+            if v in spurs:
                 boxes.append(_box(standing_bodies([garage.shapes[int(np.flatnonzero(graph.head == v)[0])]])[0]))
             else:
                 # where any aisle may lead through, the place is the cell; smaller for a role drawn on top

@@ -289,7 +289,8 @@ def load_layout(path: str | Path) -> Layout:
 
 def _first_error(err: ValidationError) -> str:
     """One line for the first thing that is wrong: field, value, what would be valid."""
-    first = err.errors(include_url=False)[0]
+    # a misspelt key is also a missing one: the misspelling says more
+    first = min(err.errors(include_url=False), key=lambda error: error["type"] != "extra_forbidden")
     field = ""
     for part in first["loc"]:
         field += f"[{part}]" if isinstance(part, int) else f".{part}" if field else part
