@@ -52,17 +52,22 @@ def draw_net(garage: GarageNet, path: str | Path) -> None:
     streets = list(garage.street_shapes.values())
     low, high = _bounds(garage, streets)
     size = (high - low) / _METRES_PER_INCH
-    figure = Figure(figsize=(float(max(size[0], 6.0)), float(size[1]) + 0.9), layout="constrained")
+    figure = Figure(
+        figsize=(float(max(size[0], 6.0)), float(size[1]) + 0.9 * max(1.0, float(size[0]) / 14.0)), layout="constrained"
+    )
     FigureCanvasAgg(figure)
     axes = figure.add_subplot(aspect="equal", facecolor=_FLOOR)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xticks=[], yticks=[])
-    axes.set_title(_title(garage), fontsize=11, loc="left")
+    text = 10.0 * max(1.0, figure.get_figwidth() / 14.0)
+    axes.set_title(_title(garage), fontsize=text, loc="left")
     for spine in axes.spines.values():
         spine.set_visible(False)
     _draw_street(axes, streets)
     _draw_lanes(axes, garage)
     _draw_places(axes, garage)
-    axes.legend(handles=_legend(garage), loc="upper left", bbox_to_anchor=(0, 0), ncols=9, fontsize=8, frameon=False)
+    axes.legend(
+        handles=_legend(garage), loc="upper left", bbox_to_anchor=(0, 0), ncols=9, fontsize=0.8 * text, frameon=False
+    )
     dots = min(110.0, _WIDEST_DOTS / figure.get_figwidth())
     # a fixed salt and no date: the same net gives the same bytes
     with rc_context({"svg.hashsalt": garage.name, "svg.fonttype": "none"}):

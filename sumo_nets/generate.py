@@ -70,9 +70,9 @@ def generate_layout(
         "handover": "bay",
         "aisles": list(_aisles(frame)),
         "slots": list(_slot_rows(frame, slots)),
-        "bays": _first(name, "bays", bays, list(_bay_rows(frame))),
+        "bays": _first(name, "bays", bays, _spread(list(_bay_rows(frame)), bays)),
         "homes": _first(name, "homes", homes, list(_home_rows(frame))),
-        "chargers": _first(name, "chargers", chargers, list(_charger_rows(frame))),
+        "chargers": _first(name, "chargers", chargers, _spread_chargers(frame, chargers)),
         "refuges": [{"at": [x, y], "side": "north"} for x, y in _refuges(frame)],
         "street": {"from": [0, frame.rows[-1] + 1], "to": [0, 0]},
     }
@@ -183,9 +183,20 @@ def _bay_rows(frame: _Frame) -> Iterator[dict[str, Any]]:
         yield {"at": [_FIRST_ROAD, y + 1], "side": "west"}
 
 
-def _charger_rows(frame: _Frame) -> Iterator[dict[str, Any]]:
-    for y in (*frame.rows, *(y + 2 for y in frame.rows[:-1])):
-        yield {"at": [_FIRST_ROAD, y], "side": "west"}
+def _spread_chargers(frame: _Frame, chargers: int) -> list[dict[str, Any]]:
+    """Where the aisles end first, spread over them; then between the bays."""
+    at_aisles, between = (
+        [{"at": [_FIRST_ROAD, y], "side": "west"} for y in rows]
+        for rows in (frame.rows, [y + 2 for y in frame.rows[:-1]])
+    )
+    return _spread(at_aisles, chargers) + between
+
+
+def _spread(rows: list[dict[str, Any]], number: int) -> list[dict[str, Any]]:
+    """Evenly chosen rows, so many of them; all if there are fewer."""
+    if number >= len(rows):
+        return rows
+    return [rows[len(rows) * (2 * i + 1) // (2 * number)] for i in range(number)]
 
 
 def _home_rows(frame: _Frame) -> Iterator[dict[str, Any]]:

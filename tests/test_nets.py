@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gzip
 import itertools
+import subprocess
+import sys
 from collections import deque
 from pathlib import Path
 
@@ -13,7 +15,7 @@ import pytest
 
 import sumo_nets
 from sumo_nets.bodies import closest_moving, closest_standing
-from sumo_nets.build import build_net
+from sumo_nets.build import NetconvertError, build_net, find_netconvert
 from sumo_nets.check import check_net, describe_net
 from sumo_nets.draw import draw_net
 from sumo_nets.generate import generate_layout, layout_yaml
@@ -192,6 +194,25 @@ def test_building_leaves_no_trace_of_when_or_where(tmp_path: Path) -> None:
     first, second = (build_net(layout, tmp_path / folder)[0].read_bytes() for folder in ("a", "b"))
     assert first == second
     assert b"<!--" not in gzip.decompress(first)
+
+
+def test_what_we_add_survives_netedit(tmp_path: Path) -> None:
+    # netedit loads and saves nets with netconvert's own reader and writer
+    path = edited(tmp_path, "map1")
+    subprocess.run([find_netconvert(), "-s", path, "-o", path], check=True, capture_output=True)
+    again, shipped = read_net(path), read_net("map1")
+    assert again.graph.roles == shipped.graph.roles
+    assert again.graph.edge_names == shipped.graph.edge_names
+    assert (again.bidi == shipped.bidi).all()
+    assert again.bays == shipped.bays
+    assert again.street == shipped.street
+
+
+def test_without_netconvert_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "sumo", None)
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(NetconvertError, match=r"parking-sim\[nets\]"):
+        find_netconvert()
 
 
 @pytest.mark.parametrize(("slots", "bays", "homes", "chargers"), [(1, 1, 1, 0), (47, 2, 3, 1), (500, 5, 20, 9)])
