@@ -153,14 +153,18 @@ def build_net(
 def check_net(nets: Annotated[list[str], typer.Argument(help="Shipped garages or net files.")]) -> None:
     """Check nets: every slot reachable from every bay and back, two-way lanes whole, SUMO loads them silently."""
     from sumo_nets.check import check_net as check
+    from sumo_nets.check import describe_net
     from sumo_nets.read import read_net
 
     faults = 0
     for name in nets:
-        complaints = check(read_net(name))
+        garage = read_net(name)
+        complaints = check(garage)
         faults += len(complaints)
-        for line in complaints or ["ok"]:
+        for line in complaints:
             print(f"{name}: {line}")
+        if not complaints:
+            print(f"{describe_net(garage)}; ok")
     raise typer.Exit(UNFINISHED if faults else 0)
 
 
@@ -189,6 +193,17 @@ def schema() -> None:
     from parking_sim.config import Scenario
 
     print(json.dumps(Scenario.model_json_schema(), indent=2))
+
+
+@app.command()
+def columns() -> None:
+    """Explain every column of a record's tables and every metric: table, name, unit, meaning, separated by tabs."""
+    from analysis.metrics import METRICS
+    from parking_sim.record import COLUMNS
+
+    for table, entries in {**COLUMNS, "metrics": METRICS}.items():
+        for name, (unit, meaning) in entries.items():
+            print(table, name, unit, meaning, sep="\t")
 
 
 @app.command()
@@ -265,7 +280,7 @@ def _print_summary(summary: Summary, folder: Path, page: Path | None) -> None:
     for key, words in shown:
         value = summary.metrics.get(key)
         if isinstance(value, int | float) and not math.isnan(value):
-            print(f"  {words:26} {value:.6g}" if isinstance(value, float) else f"  {words:26} {value}")
+            print(f"  {words:26} {value:.6g}")
     print(f"record: {folder}")
     if page is not None:
         print(f"report: {page}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -173,6 +174,13 @@ def test_nets_are_listed(capfd: pytest.CaptureFixture[str]) -> None:
     assert {"map1", "map2", "map3"} <= set(capfd.readouterr().out.split())
 
 
+def test_columns_are_explained(capfd: pytest.CaptureFixture[str]) -> None:
+    assert call(["columns"]) == 0
+    rows = [line.split("\t") for line in capfd.readouterr().out.splitlines()]
+    assert {len(row) for row in rows} == {4}
+    assert {("tasks", "done_s"), ("metrics", "throughput")} <= {(row[0], row[1]) for row in rows}
+
+
 def test_doctor_finds_what_a_run_needs(capfd: pytest.CaptureFixture[str]) -> None:
     assert call(["doctor"]) == 0
     out = capfd.readouterr().out
@@ -299,3 +307,28 @@ def test_ctrl_c_leaves_a_readable_record(workplace: Path, monkeypatch: pytest.Mo
 def test_only_an_end_that_was_asked_for_is_a_success(workplace: Path, duration: str, code: int) -> None:
     (workplace / "short.yaml").write_text(f"{SMALL}{duration}\n", encoding="utf-8")
     assert call(words("run short.yaml --out run -q --no-report")) == code
+
+
+def readme_files() -> dict[str, str]:
+    """The README's blocks that begin with a comment that names a file."""
+    text = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+    return dict(re.findall(r"^```\w+\n# ([\w.]+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "run rush.yaml --out rush -q",
+        "run rush.yaml --planner loaded_first.py:plan --out rush -q",
+        "draw-net corner.net.xml.gz --out corner.svg",
+        "check-net corner.net.xml.gz",
+        "run corner.net.xml.gz --agvs 2 --out corner -q",
+    ],
+)
+def test_what_the_readme_shows_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, body in readme_files().items():
+        Path(name).write_text(body, encoding="utf-8")
+    if "corner" in command:
+        assert call(["build-net", "corner.yaml"]) == 0
+    assert call(words(command)) == 0
