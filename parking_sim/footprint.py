@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from sumo_nets.graph import FloatArray
 
 #: An empty AGV gets under a parked car when the middle of its front or rear is within this many metres of the car's
-#: axis, and inside the car or this many metres before or behind it. It counts as under it until it is as far away.
+#: axis, and as far along it as an end of the car, give or take so many metres inwards and outwards. It counts as under
+#: the car until it is this many metres (the latter) away from it.
 UNDER_ASIDE_M = 0.5
+UNDER_INSIDE_M = 1.0
 UNDER_AHEAD_M = 1.5
 #: Bodies further apart than this are not measured.
 REACH_M = 10.0
@@ -118,14 +120,22 @@ class FootprintCheck:
             KeyError: the car is parked already.
             IndexError: no step was seen yet, or there is no such AGV.
         """
-        if car in self._parked.names:
-            raise KeyError(f"car {car} is parked already")
-        row = np.append(self._rows[agv], self._parked.count)
-        self._under[agv] = self._parked.count
-        self._parked.count += 1
-        at = int(np.searchsorted(self._parked.rows[:, 0], row[0]))
-        self._parked.rows = np.insert(self._parked.rows, at, row, axis=0)
-        self._parked.names.insert(at, car)
+        self._under[agv] = self._park(car, self._rows[agv])
+
+    def standing(self, cars: Sequence[str], bodies: Bodies) -> None:
+        """Cars that are parked already when the run starts.
+
+        Args:
+            cars: their names.
+            bodies: their rectangles, in the same order.
+
+        Raises:
+            KeyError: one of them is parked already.
+        """
+        rows = np.zeros((len(cars), 7))
+        _fill(bodies.x, bodies.y, bodies.angle, bodies.length, bodies.width, rows)
+        for car, row in zip(cars, rows, strict=True):
+            self._park(car, row)
 
     def lifted(self, car: str) -> None:
         """A parked car is gone; unknown cars (from a bay) are none of its business."""
@@ -159,6 +169,16 @@ class FootprintCheck:
         """What was found so far."""
         return Clearance(len(self.events), self._overlap_steps, self._closest[0], self._closest[1])
 
+    def _park(self, car: str, row: FloatArray) -> int:
+        if car in self._parked.names:
+            raise KeyError(f"car {car} is parked already")
+        number = self._parked.count
+        self._parked.count += 1
+        at = int(np.searchsorted(self._parked.rows[:, 0], row[0]))
+        self._parked.rows = np.insert(self._parked.rows, at, np.append(row, number), axis=0)
+        self._parked.names.insert(at, car)
+        return number
+
     def _note(self, time_s: float, pairs: Sequence[Sequence[int]]) -> None:
         names = self._parked.names
         now: set[tuple[int, int | str]] = {(i, j if j >= 0 else names[-1 - j]) for i, j in pairs}
@@ -181,24 +201,17 @@ def rectangle_distance(a: FloatArray, b: FloatArray) -> float:
 def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, under, least, pairs):  # type: ignore[no-untyped-def]
     """Update the rows; list overlapping pairs (a parked car p as -1 - p); lower ``least`` for AGVs and parked cars."""
     n = len(x)
-    moved = np.zeros(n, dtype=np.bool_)
-    for i in range(n):
-        c, s = math.cos(angle[i]), math.sin(angle[i])
-        cx, cy = x[i] - c * length[i] / 2, y[i] - s * length[i] / 2
-        row = rows[i]
-        moved[i] = look_at_all or row[0] != cx or row[1] != cy or row[2] != c or row[3] != s
-        row[0], row[1], row[2], row[3], row[4], row[5] = cx, cy, c, s, length[i] / 2, width[i] / 2
-        row[6] = math.hypot(row[4], row[5])
+    moved = _fill(x, y, angle, length, width, rows)
     found, agv, other, near, near_car = 0, -1, -1, -1, -1
     # plain numbers, not rows, decide who is far away: a view of a row costs more than the comparison
     for i in range(n):
-        if not moved[i]:
+        if not (moved[i] or look_at_all):
             continue
         x0, y0, size = rows[i, 0], rows[i, 1], rows[i, 6]
         for j in range(n):
             limit = size + rows[j, 6] + min(least[0], REACH_M)
             dx, dy = rows[j, 0] - x0, rows[j, 1] - y0
-            if dx * dx + dy * dy > limit * limit or j == i or (j < i and moved[j]):
+            if dx * dx + dy * dy > limit * limit or j == i or (j < i and (moved[j] or look_at_all)):
                 continue
             d = _distance(rows, i, rows, j, least[0])
             if d < least[0]:
@@ -231,12 +244,25 @@ def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, under, 
 
 
 @njit(cache=True, error_model="numpy")
+def _fill(x, y, angle, length, width, rows):  # type: ignore[no-untyped-def]
+    """Bodies as rows of centre, direction, half sizes and half diagonal; returns which ones have changed."""
+    moved = np.zeros(len(x), dtype=np.bool_)
+    for i in range(len(x)):
+        c, s = math.cos(angle[i]), math.sin(angle[i])
+        cx, cy = x[i] - c * length[i] / 2, y[i] - s * length[i] / 2
+        moved[i] = rows[i, 0] != cx or rows[i, 1] != cy or rows[i, 2] != c or rows[i, 3] != s
+        rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3] = cx, cy, c, s
+        rows[i, 4], rows[i, 5], rows[i, 6] = length[i] / 2, width[i] / 2, math.hypot(length[i], width[i]) / 2
+    return moved
+
+
+@njit(cache=True, error_model="numpy")
 def _gets_under(a, i, b, j):  # type: ignore[no-untyped-def]
-    """Whether the middle of the front or rear of a[i] is inside b[j], or just before or behind it."""
+    """Whether the middle of the front or rear of a[i] is on the axis of b[j], near its front or rear."""
     for end in (a[i, 4], -a[i, 4]):
         dx, dy = a[i, 0] + end * a[i, 2] - b[j, 0], a[i, 1] + end * a[i, 3] - b[j, 1]
         along, aside = dx * b[j, 2] + dy * b[j, 3], dy * b[j, 2] - dx * b[j, 3]
-        if abs(aside) <= UNDER_ASIDE_M and abs(along) <= b[j, 4] + UNDER_AHEAD_M:
+        if abs(aside) <= UNDER_ASIDE_M and -UNDER_INSIDE_M <= abs(along) - b[j, 4] <= UNDER_AHEAD_M:
             return True
     return False
 

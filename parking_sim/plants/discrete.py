@@ -93,9 +93,7 @@ class DiscretePlant:
     def samples(self) -> Sequence[AgvSample]:
         """Where each AGV is now."""
         xy = self.graph.xy
-        return [
-            AgvSample(i, float(xy[v, 0]), float(xy[v, 1]), self._heading[i], 0.0) for i, v in enumerate(self.at)
-        ]
+        return [AgvSample(i, float(xy[v, 0]), float(xy[v, 1]), self._heading[i], 0.0) for i, v in enumerate(self.at)]
 
     def close(self) -> None:
         """Nothing to release."""

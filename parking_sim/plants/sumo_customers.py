@@ -54,7 +54,8 @@ class Customers:
         self._inside: set[str] = set()  # on the street or at an inbound place
         self._calls: dict[str, int] = {}  # called forward, not told to SUMO yet
         self._driving: dict[str, int] = {}  # on the way to a bay
-        self._placing: dict[str, int] = {}  # retrieved, no room at the outbound place yet
+        self._placing: dict[str, int] = {}  # retrieved, not at the outbound place yet
+        self._outbound: dict[int, str] = {}  # whose each bay's outbound place is
         self._leaving: dict[str, int] = {}  # at the outbound place or driving off it
         self._impatient: set[str] = set()  # told to drive off before they stood in SUMO
         if self._street is not None:
@@ -74,9 +75,10 @@ class Customers:
         self._calls[car] = bay
 
     def hand_over(self, car: str, bay: int) -> None:
-        """A retrieved car is to stand at a bay's outbound place, as soon as there is room."""
+        """A retrieved car is to stand at a bay's outbound place, as soon as the one before it has left."""
         self._placing[car] = bay
-        self._offer_place(car, bay)
+        if bay not in self._outbound:
+            self._offer_place(car, bay)
 
     def drive_off(self, car: str) -> None:
         """A retrieved car leaves its outbound place."""
@@ -106,16 +108,16 @@ class Customers:
         if self._entering and self._entering in simulation.getDepartedIDList():
             self._inside.add(self._entering)
             self._entering = ""
-        if self._driving:
+        if self._driving or self._placing:
             for car in simulation.getParkingStartingVehiclesIDList():
                 if car in self._driving:
                     self.events.append(CarAtBay(car, self._driving.pop(car)))
-        if self._placing:
-            self._see_placed(simulation.getDepartedIDList())
+                elif car in self._placing:
+                    self._stand_outbound(car)
         if self._leaving:
             for car in simulation.getParkingEndingVehiclesIDList():
                 if car in self._leaving:
-                    self.events.append(CarLeft(car, self._leaving.pop(car)))
+                    self._free_place(car, self._leaving.pop(car))
 
     def street(self) -> StreetState:
         """Cars that wait now."""
@@ -152,13 +154,20 @@ class Customers:
             vehicle.setStop(car, self._street.queue_edge, self._street.hold_pos_m, duration=0.0)
         self._driving[car] = bay
 
+    def _free_place(self, car: str, bay: int) -> None:
+        self.events.append(CarLeft(car, bay))
+        del self._outbound[bay]
+        waiting = [c for c, b in self._placing.items() if b == bay]
+        if waiting:
+            self._offer_place(waiting[0], bay)
+
     def _offer_place(self, car: str, bay: int) -> None:
+        self._outbound[bay] = car
         self._api.vehicle.add(car, f"bay_out{bay}", CUSTOMER_OUT, departPos="stop", departSpeed="0")
         self._api.vehicle.setParkingAreaStop(car, self._bays[bay].out_area, duration=_FOREVER_S)
 
-    def _see_placed(self, departed: tuple[str, ...]) -> None:
-        for car in [c for c in self._placing if c in departed]:
-            self._leaving[car] = self._placing.pop(car)
-            if car in self._impatient:
-                self._impatient.discard(car)
-                self._api.vehicle.resume(car)
+    def _stand_outbound(self, car: str) -> None:
+        self._leaving[car] = self._placing.pop(car)
+        if car in self._impatient:
+            self._impatient.discard(car)
+            self._api.vehicle.resume(car)

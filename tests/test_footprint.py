@@ -1,0 +1,194 @@
+"""Rectangles: distances against an independent formula, and what counts as an overlap."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from parking_sim.footprint import REACH_M, Bodies, FootprintCheck, rectangle_distance
+
+metres = st.floats(-6.0, 6.0)
+half_sizes = st.floats(0.2, 3.0)
+angles = st.floats(-math.pi, math.pi)
+
+
+@st.composite
+def rectangles(draw):
+    angle = draw(angles)
+    return np.array([draw(metres), draw(metres), math.cos(angle), math.sin(angle), draw(half_sizes), draw(half_sizes)])
+
+
+def corners(r):
+    along, across = np.array([r[2], r[3]]) * r[4], np.array([-r[3], r[2]]) * r[5]
+    return [r[:2] + along + across, r[:2] + along - across, r[:2] - along - across, r[:2] - along + across]
+
+
+def inside(point, r):
+    d = point - r[:2]
+    return abs(d @ [r[2], r[3]]) <= r[4] and abs(d @ [-r[3], r[2]]) <= r[5]
+
+
+def between_segments(p, q, r, s):
+    """Distance of two segments by crossing test and end points."""
+
+    def side(a, b, c):
+        return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+    def to_segment(point, a, b):
+        t = np.clip((point - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+        return float(np.hypot(*(a + t * (b - a) - point)))
+
+    if side(p, q, r) * side(p, q, s) < 0 and side(r, s, p) * side(r, s, q) < 0:
+        return 0.0
+    return min(to_segment(p, r, s), to_segment(q, r, s), to_segment(r, p, q), to_segment(s, p, q))
+
+
+def slow_distance(a, b):
+    ca, cb = corners(a), corners(b)
+    if any(inside(p, b) for p in ca) or any(inside(p, a) for p in cb):
+        return 0.0
+    return min(between_segments(ca[i - 1], ca[i], cb[j - 1], cb[j]) for i in range(4) for j in range(4))
+
+
+@settings(max_examples=300, deadline=None)
+@given(rectangles(), rectangles())
+def test_distance_agrees_with_segment_by_segment(a, b):
+    assert rectangle_distance(a, b) == pytest.approx(slow_distance(a, b), abs=1e-6)
+    assert rectangle_distance(a, b) == pytest.approx(rectangle_distance(b, a), abs=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(rectangles(), rectangles())
+def test_distance_agrees_with_sampled_points(a, b):
+    grid = np.linspace(-1.0, 1.0, 25)
+    u, v = (m.ravel() for m in np.meshgrid(grid, grid))
+
+    def points(r):
+        along, across = np.array([r[2], r[3]]) * r[4], np.array([-r[3], r[2]]) * r[5]
+        return r[:2] + np.outer(u, along) + np.outer(v, across)
+
+    pa, pb = points(a), points(b)
+    sampled = float(np.hypot(*(pa[:, np.newaxis] - pb[np.newaxis]).transpose(2, 0, 1)).min())
+    assert rectangle_distance(a, b) <= sampled + 1e-9
+    assert sampled <= rectangle_distance(a, b) + 0.4
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "angle", "clear"),
+    [(0, 0, 0, 0), (6, 0, 0, 1), (0, 3, 0, 1), (6, 3, 0, math.sqrt(2)), (0, 0, 90, 0), (0, 5, 90, 1.5), (5, 0, 0, 0)],
+)
+def test_by_hand(x, y, angle, clear):
+    a = np.array([0.0, 0.0, 1.0, 0.0, 2.5, 1.0])
+    b = np.array([x, y, math.cos(math.radians(angle)), math.sin(math.radians(angle)), 2.5, 1.0])
+    assert rectangle_distance(a, b) == pytest.approx(clear)
+
+
+def bodies(*fronts, loaded=()):
+    x, y, degrees = np.array(fronts, dtype=float).T
+    n = len(fronts)
+    carry = np.array([i in loaded for i in range(n)])
+    return Bodies(x, y, np.radians(degrees), np.full(n, 5.0), np.full(n, 2.0), carry)
+
+
+def test_overlaps_are_counted_once_each_time_and_by_step():
+    check = FootprintCheck()
+    check.step(0.5, bodies((0, 0, 0), (8, 0, 0)))
+    assert check.result().agvs.clear_m == pytest.approx(3.0)
+    for t in (1.0, 1.5, 2.0):  # they stand in each other: each step counts
+        check.step(t, bodies((0, 0, 0), (4, 0, 0)))
+    check.step(2.5, bodies((0, 0, 0), (8, 0, 0)))
+    check.step(3.0, bodies((0, 0, 0), (4, 1, 0)))
+    result = check.result()
+    assert (result.overlaps, result.overlap_steps, result.least_m) == (2, 4, 0.0)
+    assert [(e.time_s, e.agv, e.other) for e in check.events] == [(1.0, 0, 1), (3.0, 0, 1)]
+
+
+def test_far_bodies_are_not_measured():
+    check = FootprintCheck()
+    check.step(0.5, bodies((0, 0, 0), (5 + REACH_M + 1, 20, 0)))
+    assert check.result().agvs is None
+    assert check.result().least_m == math.inf
+
+
+def park_at_origin(angle=0.0):
+    """A car set down with its front at the origin by AGV 0, which then has driven off."""
+    check = FootprintCheck()
+    check.step(0.5, bodies((0, 0, angle), (0, 100, 0), loaded=(0,)))
+    check.lowered("blue", 0)
+    check.step(1.0, bodies((0, 50, angle), (0, 100, 0)))
+    assert check.result().overlaps == 0
+    return check
+
+
+def test_passing_a_parked_car():
+    check = park_at_origin()
+    check.step(1.5, bodies((0, 50, 0), (0, 2.5, 0)))
+    near = check.result().parked
+    assert (near.agv, near.other) == (1, "blue")
+    assert near.clear_m == pytest.approx(0.5)
+    check.step(2.0, bodies((0, 50, 0), (0, 1.5, 0)))
+    assert check.result().overlaps == 1
+    assert check.events[0].other == "blue"
+
+
+def test_only_an_empty_agv_gets_under_a_car_and_only_along_its_axis():
+    for loaded, overlaps in (((), 0), ((1,), 1)):
+        check = park_at_origin()
+        for n, x in enumerate(np.arange(-12.0, 0.0, 0.7)):
+            check.step(2.0 + n, bodies((0, 50, 0), (x, 0, 0), loaded=loaded))
+        assert check.result().overlaps == overlaps
+    check = park_at_origin()
+    for n, y in enumerate(np.arange(-6.0, 0.0, 0.7)):  # from the side
+        check.step(2.0 + n, bodies((0, 50, 0), (-2.5, y, 90)))
+    assert check.result().overlaps == 1
+
+
+def test_out_from_under_a_car_in_a_bend():
+    check = FootprintCheck()
+    check.step(0.5, bodies((0, 0, 0), loaded=(0,)))
+    check.lowered("blue", 0)
+    for n, (x, y, angle) in enumerate([(1, 0.3, 10), (2, 1.0, 25), (3, 2.0, 45), (3.5, 4.0, 70), (3.5, 9.0, 90)]):
+        check.step(1.0 + n, bodies((x, y, angle)))
+    assert check.result().overlaps == 0
+    check.step(9.0, bodies((-1.0, 4.0, 90)))  # back over it, from the side
+    assert check.result().overlaps == 1
+
+
+def test_a_lifted_car_is_gone():
+    check = park_at_origin()
+    with pytest.raises(KeyError):
+        check.lowered("blue", 1)
+    check.lifted("blue")
+    check.lifted("unknown")
+    check.step(1.5, bodies((0, 50, 0), (0, 0.5, 30), loaded=(1,)))
+    assert check.result().overlaps == 0
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_many_bodies_against_every_pair(seed):
+    """The culling of far bodies loses nothing: overlaps and least clearances as from all pairs."""
+    random = np.random.default_rng(seed)
+    n, cars = 12, 30
+    check = FootprintCheck()
+    spots = np.stack([random.uniform(0, 60, cars), random.uniform(0, 60, cars), random.uniform(0, 360, cars)], 1)
+    check.standing([f"c{k}" for k in range(cars)], bodies(*spots))
+    fronts = np.stack([random.uniform(0, 60, n), random.uniform(0, 60, n), random.uniform(0, 360, n)], 1)
+    check.step(1.0, bodies(*fronts, loaded=range(n)))
+    agvs = [_rectangle(f) for f in fronts]
+    parked = [_rectangle(s) for s in spots]
+    pairs = [(rectangle_distance(agvs[i], agvs[j]), i, j) for i in range(n) for j in range(i)]
+    with_cars = [(rectangle_distance(agvs[i], parked[k]), i, k) for i in range(n) for k in range(cars)]
+    result = check.result()
+    assert result.overlaps == sum(d == 0 for d, _, _ in pairs + with_cars)
+    for near, least in ((result.agvs, min(pairs)[0]), (result.parked, min(with_cars)[0])):
+        if least < REACH_M:
+            assert near.clear_m == pytest.approx(least)
+
+
+def _rectangle(front):
+    x, y, angle = front[0], front[1], math.radians(front[2])
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([x - 2.5 * c, y - 2.5 * s, c, s, 2.5, 1.0])
