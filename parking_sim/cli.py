@@ -59,6 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _complain(getattr(error, "format_message", error.__str__)())
         code = BAD_INPUT
     except (KeyboardInterrupt, typer.Abort):
+        print("interrupted", file=sys.stderr)
         code = INTERRUPTED
     except _input_errors() as error:
         _complain(str(error))

@@ -25,13 +25,15 @@ class RunBars:
         self._bars = rich_progress.Progress(
             "{task.description}",
             rich_progress.BarColumn(),
-            "{task.completed}/{task.total} tasks",
+            "{task.fields[tasks]}",
             "{task.fields[clock]}",
             "{task.fields[speed]}",
             console=Console(stderr=True),
             transient=True,
         )
-        self._ids = {name: self._bars.add_task(name, total=None, clock="", speed="") for name in names}
+        self._ids = {
+            name: self._bars.add_task(name, total=None, tasks="starting", clock="", speed="") for name in names
+        }
 
     def update(self, name: str, progress: Progress) -> None:
         """Show how far a run is."""
@@ -40,6 +42,7 @@ class RunBars:
             self._ids[name],
             completed=progress.done,
             total=progress.total,
+            tasks=f"{progress.done}/{progress.total} tasks",
             clock=f"{hours}:{minutes:02} h simulated",
             speed=f"{progress.time_s / progress.wall_s:.0f}x" if progress.wall_s > 0 else "",
         )
