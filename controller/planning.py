@@ -105,6 +105,11 @@ class Planning:
         self.calls: list[PlanningCall] = []
         self.counters = Counters()
 
+    @property
+    def resolving(self) -> bool:
+        """Some deadlock is not over yet."""
+        return self._ladder.resolving
+
     def take_calls(self) -> list[PlanningCall]:
         """The planning calls since this was last asked."""
         calls, self.calls = self.calls, []

@@ -85,7 +85,7 @@ class AgvConfig(_Options):
     loaded_turn_dps: float = Field(default=20.0, gt=0, description="turning in place with a car, degrees/s")
     lift_s: float = Field(default=20.0, ge=0, description="lifting a car, seconds")
     lower_s: float = Field(default=15.0, ge=0, description="lowering a car, seconds")
-    length_m: float = Field(default=5.0, gt=0, le=20, description="length of the AGV, with or without a car, metres")
+    length_m: float = Field(default=4.7, gt=0, le=20, description="length of the AGV, with or without a car, metres")
     width_m: float = Field(default=2.0, gt=0, le=5, description="width of the AGV, with or without a car, metres")
     empty_kg: float = Field(default=1500.0, gt=0, description="mass of the AGV, kg")
     car_kg: float = Field(default=1800.0, ge=0, description="mass of a car, kg")

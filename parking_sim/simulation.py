@@ -231,7 +231,7 @@ class _Run:
         no_more = not self._pending and self._phase + 1 >= len(self.world.demand.phases)
         if self.world.scenario.duration_s is not None:
             return False
-        return no_more and self.garage.unfinished == 0
+        return no_more and self.garage.unfinished == 0 and not self.acs.planning.resolving
 
     def _stalled(self) -> bool:
         mark = (sum(self.acs.executor.moves), self.garage.unfinished)

@@ -9,8 +9,9 @@ Stages, after the thesis (2025, III-4), each over the reservations of everybody 
 4. *widen*: whoever cut off the last possibility joins the group, and the stages are tried again.
 
 A resolution is a plan whose leader reaches its goal. It is carried out to its end before its members are planned for
-again, so that a window cannot undo it; when it makes no progress for ``patience_steps`` it counts as failed and the
-ladder goes on with another leader. The thesis's own program lacks this demand for progress.
+again, so that a window cannot undo it. When no stage finds one, or one makes no progress, the deadlock stays open and
+the ladder is climbed again with another leader, until its members move on. The thesis's own program lacks this demand
+for progress.
 """
 
 from __future__ import annotations
@@ -53,19 +54,19 @@ class LadderLimits:
 
 @dataclass(slots=True)
 class Deadlock:
-    """A deadlock that is being resolved.
+    """A deadlock that is not over yet.
 
     Attributes:
         number: count of deadlocks in the run.
         members: AGVs found in it.
         cause: "ring", "idle" or "stuck".
         since: step at which the waiting began.
-        stage: the stage whose plan is being carried out.
+        stage: the stage whose plan is being carried out, "" while there is none.
         leader: the AGV whose arrival is the progress.
         locked: AGVs that still carry the plan out.
-        moved: last step at which one of them made headway.
-        trail: granted vertices of the locked AGVs when last looked at.
-        failures: resolutions that made no progress.
+        moved: last step at which one of them made headway, or at which the ladder was climbed in vain.
+        granted: vertices granted to the members when last looked at.
+        failures: how often the ladder was climbed in vain; each time another leader is tried first.
     """
 
     number: int
@@ -116,6 +117,11 @@ class Ladder:
         self._count = 0
 
     @property
+    def resolving(self) -> bool:
+        """Some deadlock is not over yet."""
+        return bool(self._open)
+
+    @property
     def locked(self) -> set[int]:
         """AGVs that carry out a resolution and must not be planned for."""
         return {n for d in self._open for n in d.locked}
@@ -128,14 +134,24 @@ class Ladder:
             waits: who waits for whom.
             problem: the planning problem of this step (blocked vertices, agents that may be planned for).
         """
+        waiting = {n for group in (*waits.rings, *waits.blocked_by_idle) for n in group}
+        waiting.update(self._progress.stuck(step, self._limits.stuck_steps))
+        patience = self._limits.patience_steps
         for deadlock in list(self._open):
-            self._supervise(deadlock, step)
-        locked = self.locked
-        for members, cause in self._candidates(step, waits):
-            if not locked.intersection(members):
-                deadlock = self._found(members, cause, step, waits)
+            if deadlock.stage:
+                self._supervise(deadlock, step)
+            elif not waiting.intersection(deadlock.members):
+                deadlock.stage, deadlock.leader = "replanned", deadlock.members[0]
+                self._close(deadlock, step)
+            elif step - deadlock.moved >= patience and not self.locked.intersection(deadlock.members):
                 self._resolve(deadlock, step, problem)
-                locked = self.locked
+        taken = {n for d in self._open for n in (*d.members, *d.locked)}
+        for members, cause in self._candidates(step, waits):
+            if not taken.intersection(members):
+                deadlock = self._found(members, cause, step, waits)
+                self._open.append(deadlock)
+                self._resolve(deadlock, step, problem)
+                taken.update(deadlock.members, deadlock.locked)
 
     # --- finding --------------------------------------------------------------------------------------------------
 
@@ -178,11 +194,18 @@ class Ladder:
         if granted != deadlock.granted or busy:
             deadlock.granted, deadlock.moved = granted, step
         deadlock.locked = {n for n in deadlock.locked if ex.agvs[n].pending}
-        if deadlock.leader not in deadlock.locked and not deadlock.locked:
+        if not deadlock.locked:
             self._close(deadlock, step)
         elif step - deadlock.moved >= 3 * self._limits.patience_steps:
             self._failed(deadlock, deadlock.stage, "the plan made no progress")
-            self._open.remove(deadlock)
+            self._give_up(deadlock, step)
+
+    @staticmethod
+    def _give_up(deadlock: Deadlock, step: int) -> None:
+        deadlock.stage = ""
+        deadlock.locked = set()
+        deadlock.moved = step
+        deadlock.failures += 1
 
     def _close(self, deadlock: Deadlock, step: int) -> None:
         self._open.remove(deadlock)
@@ -215,6 +238,7 @@ class Ladder:
                 joining = [n for n in agents if n not in group] if len(group) < len(agents) else []
             if not joining:
                 self._failed(deadlock, "widen", "nobody else can join")
+                self._give_up(deadlock, step)
                 return
             group += joining
 
@@ -231,6 +255,8 @@ class Ladder:
         blockers: set[int] = set()
         by_priority = sorted(group, key=lambda a: (-a.priority, a.agv))
         movers = [a for a in by_priority if a.goal != a.vertex]
+        shift = deadlock.failures % len(movers) if movers else 0
+        movers = movers[shift:] + movers[:shift]
         if 2 <= len(group) <= self._limits.group:
             result = cbs(replace(problem, agents=tuple(group)), self._limits.cbs)
             if len(result.paths) == len(group):
@@ -312,5 +338,4 @@ class Ladder:
         deadlock.stage, deadlock.leader = resolution.stage, resolution.leader
         deadlock.locked = {n for n, path in resolution.paths.items() if len(path.vertices) > 1}
         deadlock.moved, deadlock.granted = step, 0
-        self._open.append(deadlock)
         return True

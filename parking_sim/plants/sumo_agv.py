@@ -44,7 +44,7 @@ class AgvType:
     loaded_turn_dps: float = 20.0
     lift_s: float = 20.0
     lower_s: float = 15.0
-    length_m: float = 5.0
+    length_m: float = 4.7
     width_m: float = 2.0
     empty_kg: float = 1500.0
     car_kg: float = 1800.0
