@@ -31,7 +31,8 @@ class ControlOptions:
 
     Attributes:
         period_steps: replanning period.
-        window_cells: planning window at the start, in moves of ``Rules.cell_steps``; 0 for complete paths.
+        window_cells: planning window at the start, in moves of ``Rules.cell_steps``; planners of
+            complete paths have none.
         window_min, window_max, window_step: the window adapts between these.
         score_keep, score_scc, score_up, score_down: the window grows by a step when the congestion score
             ``floor(keep * old) + wait edges + scc * SCCs`` is above ``up`` and shrinks below ``down``.
@@ -90,6 +91,7 @@ class Planning:
         log: Log,
     ) -> None:
         self._planner = planner
+        self._complete = bool(getattr(planner, "complete", False))
         self._options = options
         self._agvs = agvs
         self._executor = executor
@@ -144,16 +146,27 @@ class Planning:
         self.counters.add(result.counters)
 
     def _under_way(self) -> bool:
+        if self._complete:
+            return bool(self._to_plan()) or self._ladder.resolving
         return any(agv.goal != a.last or a.pending for agv, a in zip(self._agvs, self._executor.agvs, strict=True))
+
+    def _to_plan(self) -> list[Agv]:
+        """AGVs to plan for: with complete paths those whose path does not end at their goal, else all that can."""
+        locked = self._ladder.locked
+        free = [agv for agv in self._agvs if agv.number not in locked]
+        if not self._complete:
+            return free
+        ends = [a.pending[-1] if a.pending else a.last for a in self._executor.agvs]
+        return [agv for agv in free if ends[agv.number] != agv.goal]
 
     def _problem(self, step: int, blocked: Mask, no_rest: Mask) -> PlanningProblem:
         ex, locked = self._executor, self._ladder.locked
         fixed = trails(ex, step)
-        if locked:
+        if locked or self._complete:
             timed = retime(ex, step)
-            fixed += [timed[n] for n in sorted(locked)]
-        agents = tuple(self._agent(agv, step) for agv in self._agvs if agv.number not in locked)
-        window = self._window * self._rules.cell_steps if self._window else FOREVER
+            fixed += [path for n, path in timed.items() if self._complete or n in locked]
+        agents = tuple(self._agent(agv, step) for agv in self._to_plan())
+        window = FOREVER if self._complete else self._window * self._rules.cell_steps
         return PlanningProblem(ex.graph, ex.motion, agents, tuple(fixed), blocked, no_rest, window)
 
     def _agent(self, agv: Agv, step: int) -> PlanAgent:
@@ -166,10 +179,7 @@ class Planning:
         return PlanAgent(agv.number, a.last, a.in_edge, ready, agv.goal, a.loaded, dwell, priority(agv, stuck))
 
     def _take(self, step: int, problem: PlanningProblem, result: PlanResult) -> None:
-        paths = dict(result.paths)
-        for path in problem.fixed:
-            if path.agv in self._ladder.locked and path.vertices[0] == self._executor.agvs[path.agv].last:
-                paths[path.agv] = path
+        paths = {path.agv: path for path in problem.fixed if path.agv < TRAIL} | dict(result.paths)
         refusal = self._executor.accept(paths)
         if refusal:
             self._log("plan_rejected", refusal.agents[0], "", refusal.vertex, {"reason": refusal.reason})
@@ -186,8 +196,6 @@ class Planning:
     def _adapt(self, waits: WaitGraph) -> None:
         o = self._options
         self._score = int(o.score_keep * self._score) + len(waits.edges) + o.score_scc * len(waits.rings)
-        if not self._window:
-            return
         if self._score > o.score_up:
             self._window = min(o.window_max, self._window + o.window_step)
         elif self._score < o.score_down:

@@ -15,6 +15,7 @@ from sumo_nets.graph import Graph
 #: Name -> (module, factory, dataclass of its options or "").
 PLANNERS: dict[str, tuple[str, str, str]] = {
     "whca": ("controller.planners.whca", "make_whca", "WhcaOptions"),
+    "token": ("controller.planners.token", "make_token", "TokenOptions"),
 }
 
 

@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes, Space
-from controller.types import FOREVER
+from controller.types import FOREVER, NEVER
 from sumo_nets.graph import FloatArray, IntArray
 
 #: Columns of ``Field.states``: g + 1 (0: not seen yet), f, place in OPEN + 1 (-1: closed), and OPEN itself.
@@ -148,6 +148,8 @@ def settle(edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], co
             if states[e, PLACE] == -1:
                 continue
             turn = lanes.turn_steps[loaded, lanes.first_transition[e] + out - lanes.first_out[v]]
+            if turn >= NEVER:
+                continue
             g = states[out, G] + lanes.edge_steps[loaded, out] + turn
             if states[e, G] == 0 or g < states[e, G]:
                 _push(e, g, _estimate(v, field.aim, lanes.xy), states, meta, counters)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from controller.search.distances import Distances, Field, distance_from, settle
 from controller.search.reservations import AGENT, END, NEXT, START, ReservationTable
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes
-from controller.types import FOREVER, Path, PlanAgent, PlanningProblem
+from controller.types import FOREVER, NEVER, Path, PlanAgent, PlanningProblem
 from sumo_nets.graph import IntArray
 
 #: Columns of ``_Memory.nodes``. EDGE is -1 for the start; SLOT numbers the safe interval of the vertex, which lasts
@@ -175,7 +175,8 @@ def _sipp(
     meta[SIZE] = 0
     meta[GENERATION] += 1
     meta[BLOCKER] = -1
-    latest = -1  # end of the safe interval whose owner is held responsible if nothing is found
+    latest = -1  # end of the last safe interval: whoever ends it is held responsible if nothing is found
+    nearest = FOREVER  # if no safe interval ended: whoever stands for ever nearest to the goal
     wait_f, wait_node = FOREVER, NONE  # the best path that ends by waiting for the window's end
     if count[start] > 0 and rows[start, 0, START] <= 0:
         meta[BLOCKER] = rows[start, 0, AGENT]
@@ -218,6 +219,8 @@ def _sipp(
             depart = t
             if into >= 0:
                 depart += lanes.turn_steps[loaded, lanes.first_transition[into] + e - lanes.first_out[v]]
+            if depart >= t + NEVER:
+                continue
             steps = lanes.edge_steps[loaded, e]
             if depart + steps > last:
                 continue
@@ -226,6 +229,9 @@ def _sipp(
                 h = settle(e, field, lanes, blocked, counters)
                 if h >= FOREVER:
                     continue
+            if h < nearest and latest < 0 and count[w] > 0 and rows[w, count[w] - 1, END] >= FOREVER:
+                nearest = h
+                meta[BLOCKER] = rows[w, count[w] - 1, AGENT]
             for k in range(count[w] + 1):
                 begin = rows[w, k - 1, END] if k > 0 else 0
                 end = _safe_until(rows, count, w, k, window)

@@ -1,0 +1,103 @@
+"""Token passing with rest at the end (Ma, Li, Kumar and Koenig 2017), over safe intervals.
+
+Every agent always has a complete path to a place where it may rest for ever. An agent with a new goal gets the quickest
+path that keeps clear of all other paths, rests included; if there is none yet it keeps the path it has and is asked
+again. Agents that fail are tried once more after the others, since a new path of another agent may have made room.
+
+Guarantee: in a well-formed garage (slots, bays, homes and chargers are end points, and between any two of them there
+is a way that passes no other) no deadlock can arise, since every accepted set of paths can be carried out to its end.
+Limits: not optimal; an agent's path never makes another one give way.
+
+Departure from the paper: AGVs have priorities and are planned in that order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from controller.search.distances import Distances
+from controller.search.reservations import ReservationTable
+from controller.search.sipp import PathSearch
+from controller.search.space import Space
+from controller.types import Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from sumo_nets.graph import Graph
+
+
+@dataclass(frozen=True, slots=True)
+class TokenOptions:
+    """Options of token passing.
+
+    Attributes:
+        passes: how often agents without a path are tried in one call.
+    """
+
+    passes: int = 2
+
+
+class Token:
+    """The planner, with the search memory it keeps between calls.
+
+    Attributes:
+        complete: it plans complete paths; only agents whose goal is new have to be given, and ``fixed`` may hold the
+            path that such an agent carries out so far.
+    """
+
+    complete = True
+
+    def __init__(self, space: Space, options: TokenOptions) -> None:
+        self.options = options
+        self.distances = Distances(space)
+        self.table = ReservationTable(len(space.graph.names), space.motion.following)
+        self._search = PathSearch(self.distances)
+
+    def __call__(self, problem: PlanningProblem) -> PlanResult:
+        """Plan for the agents of a problem.
+
+        Returns:
+            SOLVED with a path for each agent; PARTIAL when some of them keep what they have, with who is in their way.
+        """
+        self.distances.counters[:] = 0
+        self._search.begin(problem)
+        self.table.clear()
+        carried: dict[int, Path] = {}
+        for path in problem.fixed:
+            carried[path.agv] = path
+            self.table.add(path)
+        waiting = sorted(problem.agents, key=lambda agent: (-agent.priority, agent.agv))
+        paths: dict[int, Path] = {}
+        failed: dict[int, int] = {}
+        for _ in range(self.options.passes):
+            failed = {}
+            for agent in waiting:
+                found = self._replace(agent, carried.get(agent.agv), problem)
+                if found is None:
+                    failed[agent.agv] = self._search.blocker
+                else:
+                    paths[agent.agv] = found
+            waiting = [agent for agent in waiting if agent.agv in failed]
+            if not waiting:
+                break
+        counters = Counters(*self.distances.counters.tolist())
+        return PlanResult(Status.PARTIAL if failed else Status.SOLVED, paths, failed, counters)
+
+    def _replace(self, agent: PlanAgent, carried: Path | None, problem: PlanningProblem) -> Path | None:
+        """A new path in the table instead of the carried one; if there is none the carried one stays."""
+        self.table.remove(agent.agv)
+        path = self._search.find_path(problem, agent, self.table)
+        keep = path or carried
+        if keep is not None:
+            self.table.add(keep)
+        return path
+
+
+def make_token(graph: Graph, motion: Motion, options: TokenOptions | None = None) -> Token:
+    """A token-passing planner for one garage.
+
+    Args:
+        graph, motion: the garage and how long moves take; all problems must be of these.
+        options: see ``TokenOptions``.
+
+    Returns:
+        The planner; call it with a problem.
+    """
+    return Token(Space(graph, motion), options or TokenOptions())
