@@ -32,7 +32,7 @@ class AgvType:
         empty_kg, car_kg: mass of the AGV and of the car it carries.
         idle_w: power that electronics draw all the time, in watts.
         battery_wh: capacity; the default lasts about 8 hours of driving, half of it loaded.
-        charge_w: charging power in watts; with the default 30 % to 90 % takes about 50 minutes.
+        charge_w: charging power in watts; with the default 30 % to 90 % takes about 45 minutes.
     """
 
     empty_mps: float = 1.5

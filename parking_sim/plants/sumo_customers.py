@@ -21,6 +21,8 @@ _FOREVER_S = 1e9
 #: Cars that SUMO holds on the entry edge; further ones wait in the backlog and count as spilled just the same. Each
 #: standing car costs SUMO 1 to 2 us a step.
 MAX_ON_ENTRY = 8
+#: Steps between two looks whether there is room on the entry edge.
+ENTRY_STEPS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,7 @@ class Customers:
         self._street: Street | None = garage.street
         self._bays: tuple[BaySite, ...] = garage.bays
         self._backlog: deque[str] = deque()
+        self._patience = 0  # steps until the entry edge is looked at again
         self._entering = ""  # offered to SUMO, not on the street yet
         self._inside: set[str] = set()  # on the street or at an inbound place
         self._calls: dict[str, int] = {}  # called forward, not told to SUMO yet
@@ -95,8 +98,12 @@ class Customers:
 
     def before_step(self) -> None:
         """Hand SUMO what it can take now."""
-        if self._backlog and not self._entering and self._on_entry() < MAX_ON_ENTRY:
-            self._enter(self._backlog.popleft())
+        if self._backlog and not self._entering:
+            self._patience -= 1
+            if self._patience <= 0:
+                self._patience = ENTRY_STEPS
+                if self._on_entry() < MAX_ON_ENTRY:
+                    self._enter(self._backlog.popleft())
         if self._calls:
             for car in [c for c in self._calls if c in self._inside]:
                 self._send(car, self._calls[car])
