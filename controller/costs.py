@@ -6,6 +6,7 @@ import heapq
 from collections import OrderedDict
 
 import numpy as np
+from numba import njit
 
 from controller.types import FOREVER, Motion
 from sumo_nets.graph import Graph, IntArray
@@ -25,17 +26,17 @@ class Costs:
     def __init__(self, graph: Graph, motion: Motion, keep: int = 256) -> None:
         self._tables: OrderedDict[int, IntArray] = OrderedDict()
         self._keep = keep
-        self._n = len(graph.names)
-        self._into: list[list[tuple[int, int]]] = [[] for _ in range(self._n)]
-        for e, (u, v) in enumerate(zip(graph.tail, graph.head, strict=True)):
-            self._into[int(v)].append((int(u), int(motion.edge_steps[0, e])))
+        into = np.argsort(graph.head, kind="stable").astype(np.int32)
+        first = np.searchsorted(graph.head[into], np.arange(len(graph.names) + 1)).astype(np.int32)
+        self._lanes = (first, graph.tail[into], motion.edge_steps[0][into])
         self.expanded = 0
 
     def to(self, goal: int) -> IntArray:
         """Steps from each vertex to the goal, shape (n,); ``FOREVER`` where it cannot be reached."""
         table = self._tables.get(goal)
         if table is None:
-            table = self._search(goal)
+            table, expanded = _dijkstra(goal, *self._lanes)
+            self.expanded += expanded
             self._tables[goal] = table
             if len(self._tables) > self._keep:
                 self._tables.popitem(last=False)
@@ -43,18 +44,23 @@ class Costs:
             self._tables.move_to_end(goal)
         return table
 
-    def _search(self, goal: int) -> IntArray:
-        """Dijkstra backwards from the goal."""
-        g = [FOREVER] * self._n
-        g[goal] = 0
-        OPEN = [(0, goal)]
-        while OPEN:
-            cost, v = heapq.heappop(OPEN)
-            if cost > g[v]:
-                continue
-            self.expanded += 1
-            for u, steps in self._into[v]:
-                if cost + steps < g[u]:
-                    g[u] = cost + steps
-                    heapq.heappush(OPEN, (cost + steps, u))
-        return np.array(g, dtype=np.int32)
+
+@njit(cache=True)
+def _dijkstra(goal, first, tails, steps):  # type: ignore[no-untyped-def]
+    """Backwards from the goal over lanes sorted by head."""
+    g = np.full(len(first) - 1, FOREVER, dtype=np.int32)
+    g[goal] = 0
+    OPEN = [(np.int32(0), np.int32(goal))]
+    expanded = 0
+    while OPEN:
+        cost, v = heapq.heappop(OPEN)
+        if cost > g[v]:
+            continue
+        expanded += 1
+        for k in range(first[v], first[v + 1]):
+            u = tails[k]
+            there = np.int32(cost + steps[k])
+            if there < g[u]:
+                g[u] = there
+                heapq.heappush(OPEN, (there, u))
+    return g, expanded

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from controller.costs import Costs
 from controller.garage import Garage, Job
 
@@ -75,12 +77,8 @@ DISPATCH: dict[str, Rule] = {"nearest": nearest_agv, "id-order": in_id_order}
 
 def choose_slot(garage: Garage, origin: int, zone: str, costs: Costs) -> int:
     """The free slot nearest to where the car stands, in the wanted zone if there is one; -1 when all are taken."""
-    to = costs.to(origin)
-    names = garage.graph.names
-    best = -1
-    best_key: tuple[bool, int, int] | None = None
-    for slot in garage.free_slots():
-        key = (not names[slot].startswith(zone), int(to[slot]), slot)
-        if best_key is None or key < best_key:
-            best, best_key = slot, key
-    return best
+    free = garage.slots[garage.slot_free]
+    if zone:
+        wanted = np.array([garage.graph.names[v].startswith(zone) for v in free], dtype=np.bool_)
+        free = free[wanted] if wanted.any() else free
+    return int(free[np.argmin(costs.to(origin)[free])]) if len(free) else -1

@@ -7,7 +7,7 @@ stamps of the job, and ``Garage.audit`` checks that nothing and nobody got lost.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
 from typing import Literal
@@ -100,6 +100,9 @@ class Garage:
         self.bays = {bay: BayPlaces() for bay in graph.bays}
         self.parked: dict[str, int] = {}
         self.slot_of: dict[int, str] = dict.fromkeys(graph.slots, "")
+        self.slots = np.array(graph.slots, dtype=np.int32)
+        self.slot_free: NDArray[np.bool_] = np.ones(len(graph.slots), dtype=np.bool_)
+        self._slot_number = {slot: k for k, slot in enumerate(graph.slots)}
         self.reserved: dict[int, int] = {}
         self.blocked: NDArray[np.uint8] = np.zeros(len(graph.names), dtype=np.uint8)
         self.arrived = 0
@@ -221,11 +224,13 @@ class Garage:
         if job.is_park:
             job.destination = slot
             self.reserved[slot] = agv
+            self.slot_free[self._slot_number[slot]] = False
 
     def unassign(self, job: Job) -> None:
         """Give a job back that its AGV has not lifted yet."""
         if job.is_park:
-            self.reserved.pop(job.destination, None)
+            self.reserved.pop(job.destination)
+            self.slot_free[self._slot_number[job.destination]] = True
         job.agv, job.destination, job.assigned_s = -1, -1, nan
         self.open.insert(0, job)
 
@@ -238,6 +243,7 @@ class Garage:
         else:
             slot = self.parked.pop(job.car)
             self.slot_of[slot] = ""
+            self.slot_free[self._slot_number[slot]] = True
             self.blocked[slot] = 0
 
     def may_lower(self, job: Job) -> bool:
@@ -268,6 +274,7 @@ class Garage:
     def _put(self, car: str, slot: int) -> None:
         self.parked[car] = slot
         self.slot_of[slot] = car
+        self.slot_free[self._slot_number[slot]] = False
         self.blocked[slot] = 1
 
     def _leave(self, job: Job, now_s: float) -> None:
@@ -278,10 +285,6 @@ class Garage:
     def _serve(self, job: Job, now_s: float) -> None:
         job.state, job.done_s = "served", now_s
         self.unfinished -= 1
-
-    def free_slots(self) -> Iterable[int]:
-        """Slots that are neither taken nor reserved."""
-        return (v for v, car in self.slot_of.items() if not car and v not in self.reserved)
 
     def in_transit(self) -> int:
         """Cars that are in the garage's care but not parked: in the street, at bays or on AGVs."""
