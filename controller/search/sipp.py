@@ -7,7 +7,8 @@ window's end on are ignored, what is left to drive there is judged by the exact 
 A path ends
 - at the goal, in a safe interval that lasts to the end of the window (for ever without a window), f = t;
 - at a vertex reached at or after the window's end, f = t + h;
-- at a vertex where it can wait until the window's end, f = window + h, dearer where ``no_rest`` holds.
+- at a vertex where it can wait until the window's end, f = window + h, dearer by a quarter of the window where
+  ``no_rest`` holds; or at the vertex that it would leave just then, f = t + h of the next one.
 
 Departures from the papers: turns take time before a departure; with ``following`` False an agent owns both ends of an
 edge while it drives; with ``following`` True a move that would close a ring of agents, each entering the vertex that
@@ -241,7 +242,7 @@ def _sipp(
                     break
                 entered = a if query[Q_FOLLOWING] else a - steps
                 if entered >= window:
-                    if goal >= 0 and a + h < wait_f:
+                    if goal >= 0 and a == depart + steps and a + h < wait_f:
                         wait_f, wait_node = a + h, n
                     break
                 if a >= end:
