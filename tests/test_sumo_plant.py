@@ -133,7 +133,7 @@ def test_front_and_rear_are_where_sumo_says(map1, started):
             assert state.reached >= granted.index(graph.tail[e])
             x, y = plant._place[0, 0], plant._place[1, 0]
             assert (x, y) == pytest.approx(vehicle.getPosition("agv0"))
-            rear_past_tail = vehicle.getLanePosition("agv0") - 5.0 + plant._before_m[e]
+            rear_past_tail = vehicle.getLanePosition("agv0") - plant.agv_type.length_m + plant._before_m[e]
             assert (state.left > granted.index(graph.tail[e])) == (rear_past_tail >= plant._clear_m[e] - 1e-5)
 
 
