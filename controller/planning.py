@@ -129,10 +129,12 @@ class Planning:
             blocked: vertices where nobody may drive, shape (n,).
             no_rest: makes the mask of vertices where nobody may rest whose goal it is not.
         """
-        due = step - self._last >= self._options.period_steps
-        if not (self._changed or (due and self._under_way())):
+        if not self._changed and step - self._last < self._options.period_steps:
             return
-        self._changed, self._last = False, step
+        self._last = step
+        if not (self._changed or self._under_way()):
+            return
+        self._changed = False
         problem = self._problem(step, blocked, no_rest())
         start = perf_counter()
         result = self._planner(problem)

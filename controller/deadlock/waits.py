@@ -83,6 +83,8 @@ def wait_graph(executor: Executor, agvs: Sequence[Agv], costs: Costs) -> WaitGra
 
 def rings(edges: Mapping[int, int]) -> tuple[tuple[int, ...], ...]:
     """Strongly connected components of two or more agents in a wait-for graph."""
+    if len(edges) < 2:
+        return ()
     g: nx.DiGraph[int] = nx.DiGraph(edges.items())
     return tuple(sorted(tuple(sorted(c)) for c in nx.strongly_connected_components(g) if len(c) > 1))
 
