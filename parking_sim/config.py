@@ -62,7 +62,6 @@ class ControlConfig(_Options):
     cbs_expansions: int = Field(default=64, ge=1, description="partial CBS: expansions of the constraint tree at most")
     cbs_nodes: int = Field(default=128, ge=1, description="partial CBS: nodes of the constraint tree at most")
     cbs_constraints: int = Field(default=64, ge=1, description="partial CBS: constraints of a node at most")
-    cbs_wait_edges: int = Field(default=64, ge=1, description="edges of the wait-for graph looked at, at most")
 
     @model_validator(mode="after")
     def _window_in_range(self) -> Self:
@@ -192,20 +191,63 @@ def load_scenario(source: str | Path, overrides: Mapping[str, object] | None = N
     Raises:
         InputError: no such file or garage, bad YAML, or a value that isn't valid.
     """
-    overrides = overrides or {}
+    data, base_dir = scenario_keys(source)
+    return _validate(data, overrides or {}, str(source), base_dir)
+
+
+def scenario_keys(source: str | Path) -> tuple[dict[str, object], Path]:
+    """Read the keys of a scenario without checking them.
+
+    Args:
+        source: as for :func:`load_scenario`.
+
+    Returns:
+        The keys as given, and the folder from which relative paths in them count.
+
+    Raises:
+        InputError: no such file or garage, or bad YAML.
+    """
     name = str(source)
     if name in shipped_nets():
-        return _validate({"garage": name, "agvs": DEFAULT_AGVS.get(name, 1)}, overrides, name, Path())
+        return {"garage": name, "agvs": DEFAULT_AGVS.get(name, 1)}, Path()
     if name.endswith(NET_SUFFIXES):
-        return _validate({"garage": name}, overrides, name, Path())
+        return {"garage": name}, Path()
     path = Path(source)
     if path.suffix not in (".yaml", ".yml"):
         shipped = ", ".join(shipped_nets())
         raise InputError(f"{source}: give a scenario (.yaml), a net (.net.xml.gz) or a shipped garage: {shipped}")
-    return _validate(_read_yaml(path), overrides, name, path.parent)
+    return read_yaml(path), path.parent
 
 
-def _read_yaml(path: Path) -> dict[str, object]:
+def check_scenario(data: Mapping[str, object], source: str, base_dir: Path) -> Scenario:
+    """Make a scenario of keys and values.
+
+    Args:
+        data: keys as in a scenario file.
+        source: where they come from, the first words of a complaint.
+        base_dir: folder from which relative paths in them count.
+
+    Returns:
+        The scenario; its garage, planner, dispatch rule and rule set exist.
+
+    Raises:
+        InputError: a value isn't valid.
+    """
+    return _validate(dict(data), {}, source, base_dir)
+
+
+def read_yaml(path: Path) -> dict[str, object]:
+    """Read a YAML file whose keys differ.
+
+    Args:
+        path: the file.
+
+    Returns:
+        Its mapping at the top level.
+
+    Raises:
+        InputError: it can't be read, or is something else.
+    """
     try:
         data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
     except yaml.MarkedYAMLError as error:
