@@ -25,7 +25,7 @@ from parking_sim.errors import InputError
 from parking_sim.plants import Plant
 from parking_sim.rulesets import RULE_SETS, TickRules
 from sumo_nets.doors import one_door_each
-from sumo_nets.read import GarageNet, read_net, shipped_nets
+from sumo_nets.read import GarageNet, read_net
 
 if TYPE_CHECKING:
     from parking_sim.plants.sumo_agv import AgvType
@@ -81,7 +81,7 @@ class World:
         if s.dispatch not in DISPATCH:
             raise InputError(f"dispatch: {s.dispatch!r}: give one of {', '.join(DISPATCH)}")
         try:
-            planner = load_planner(s.planner, graph, self.motion, s.planner_options)
+            planner = load_planner(s.planner_source, graph, self.motion, s.planner_options)
         except ValueError as error:
             raise InputError(f"planner: {error}") from None
         options = control_options(s.control, self.rules.cell_steps, self.motion.step_s)
@@ -96,11 +96,12 @@ def assemble(scenario: Scenario) -> World:
         InputError: an unknown rule set, more AGVs than homes, a demand that does not fit.
         NetError: an unknown or unusable net.
     """
-    net = read_net(_garage_path(scenario))
+    net = read_net(scenario.garage_source)
     homes = net.graph.homes
     if scenario.agvs > len(homes):
         raise InputError(f"agvs: {scenario.agvs}: {net.name} has homes for 1 to {len(homes)}")
     demand = make_demand(scenario.workload, len(net.graph.slots), scenario.seed, scenario.base_dir)
+    _check_zones(demand, net)
     if scenario.plant == "discrete":
         ticks = _ticks(scenario)
         motion, rules = ticks.motion(net.graph, scenario.planner), ticks.rules()
@@ -114,11 +115,13 @@ def assemble(scenario: Scenario) -> World:
     return World(scenario, net, homes[: scenario.agvs], demand, motion, rules)
 
 
-def _garage_path(scenario: Scenario) -> str | Path:
-    if scenario.garage in shipped_nets() or Path(scenario.garage).is_absolute():
-        return scenario.garage
-    relative = scenario.base_dir / scenario.garage
-    return relative if relative.exists() else scenario.garage
+def _check_zones(demand: Demand, net: GarageNet) -> None:
+    zones = {request.zone for phase in demand.phases for request in phase if request.zone}
+    slots = [net.graph.names[v] for v in net.graph.slots]
+    for zone in sorted(zones):
+        if not any(slot.startswith(zone) for slot in slots):
+            names = f"{net.name} has {slots[0]} to {slots[-1]}"
+            raise InputError(f"workload: zone {zone!r}: no slot's name begins so; {names}")
 
 
 def _ticks(scenario: Scenario) -> TickRules:

@@ -11,13 +11,16 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from controller.garage import Job
-from controller.types import Action, AgvMode, Request
+from controller.types import Action, Advance, AgvMode, Request
 from parking_sim.assembly import World, assemble
 from parking_sim.config import Scenario
 from parking_sim.folders import clear_run
 from parking_sim.plants import CarAtBay
 from parking_sim.record import AgvRow, Recorder, TaskRow
+from parking_sim.scenario_file import write_scenario
 
 if TYPE_CHECKING:
     from parking_sim.footprint import FootprintCheck
@@ -113,6 +116,9 @@ class _Run:
         self._moved_s = 0.0
         self._ready: list[Job] = []
         self._overlaps = 0
+        self._log_grants = world.scenario.record.grants
+        self._soc = [1.0] * len(self.acs.agvs)
+        self._drawn = [0.0] * len(self.acs.agvs)
         self._footprint: FootprintCheck | None = None
 
     @property
@@ -130,7 +136,7 @@ class _Run:
             from parking_sim.footprint import FootprintCheck
 
             self._footprint = FootprintCheck()
-            self._park_initial()
+            self._park_initial(self._footprint)
         try:
             yield
         finally:
@@ -170,6 +176,9 @@ class _Run:
         commands = self.acs.step(self.step, self.plant.states())
         for command in commands:
             self.plant.execute(command)
+            if self._log_grants and isinstance(command, Advance):
+                granted = [self.names[v] for v in command.vertices]
+                self._log("grant", command.agv, "", command.vertices[-1], {"vertices": granted})
         self._wall["control"] += perf_counter() - t
         t = perf_counter()
         for call in self.acs.planning.take_calls():
@@ -251,8 +260,17 @@ class _Run:
         self._overlaps = len(self._footprint.events)
         self._wall["check"] += perf_counter() - t
 
-    def _park_initial(self) -> None:
-        """Bodies of the cars that are parked before the run starts."""
+    def _park_initial(self, check: FootprintCheck) -> None:
+        """Tell the footprint check of the cars that are parked before the run starts."""
+        net, agv = self.world.net, self.world.scenario.agv
+        into = {int(v): e for e, v in enumerate(net.graph.head)}
+        ends = np.array([net.shapes[into[slot]][-2:] for slot in self.garage.parked.values()]).reshape(-1, 2, 2)
+        (x, y), (dx, dy) = ends[:, 1].T, (ends[:, 1] - ends[:, 0]).T
+        from parking_sim.footprint import Bodies
+
+        many = np.ones(len(x))
+        bodies = Bodies(x, y, np.arctan2(dy, dx), many * agv.length_m, many * agv.width_m, many > 0)
+        check.standing(list(self.garage.parked), bodies)
 
     def _sample(self) -> None:
         t = perf_counter()
@@ -264,6 +282,9 @@ class _Run:
         self.recorder.sample(
             self.now_s, self.plant.samples(), [a.mode.value for a in agvs], cars, [a.soc for a in agvs]
         )
+        for i, agv in enumerate(agvs):
+            self._drawn[i] += max(0.0, self._soc[i] - agv.soc)
+            self._soc[i] = agv.soc
         street = self._sumo.street() if self._sumo is not None else None
         queue, spilled = (street.queued, street.spilled) if street else (0, 0)
         active = sum(1 for a in agvs if a.job is not None)
@@ -299,6 +320,7 @@ class _Run:
 
         if out is None:
             return Summary(status, run_metrics(recorded_run(self.recorder, meta)), None)
+        write_scenario(self.world.scenario, out / "scenario.yaml")
         self.recorder.write(out, meta)
         return Summary(status, write_metrics(out), out)
 
@@ -315,7 +337,8 @@ class _Run:
     def _agv_row(self, i: int, tasks: int) -> AgvRow:
         ex = self.acs.executor
         seconds = {f"{k}_s": n * self.step_s for k, n in self._activity[i].items()}
-        return AgvRow(i, ex.moves[i], ex.distance_m[i], tasks, **seconds)
+        battery_wh = self.world.scenario.agv.battery_wh if self._sumo is not None else 0.0
+        return AgvRow(i, ex.moves[i], ex.distance_m[i], tasks, **seconds, energy_wh=self._drawn[i] * battery_wh)
 
     def _meta(self, status: str) -> dict[str, object]:
         scenario, garage = self.world.scenario, self.garage
@@ -323,6 +346,7 @@ class _Run:
         problems = garage.audit()
         return {
             "status": status,
+            "command": "parking-sim run scenario.yaml",
             "scenario": scenario.model_dump(mode="json"),
             "seed": scenario.seed,
             "versions": versions(),

@@ -63,7 +63,10 @@ def _own(name: str) -> Planner:
     if spec is None or spec.loader is None:
         raise ValueError(f"{name!r}: {path} is not a Python file")
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise ValueError(f"{name!r}: {path} can't be imported: {type(error).__name__}: {error}") from None
     if not callable(getattr(module, function, None)):
         raise ValueError(f"{name!r}: {path} has no function {function}")
     planner: Planner = getattr(module, function)
