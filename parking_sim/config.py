@@ -118,6 +118,8 @@ class RecordConfig(_Options):
     """What is written down besides events, tasks and metrics."""
 
     sample_s: float = Field(default=2.0, gt=0, description="interval of the AGVs' sampled trajectory, seconds")
+    plans: bool = Field(default=True, description="write the AGVs' plans whenever a sample finds them changed")
+    replay: bool = Field(default=True, description="write the replay of a single run beside its report")
     grants: bool = Field(default=False, description="write one event for each vertex granted to an AGV")
     fcd: bool = Field(default=False, description="write SUMO's floating car data: every vehicle in every step")
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from parking_sim.plants import AgvSample
     from sumo_nets.graph import Graph
+    from sumo_nets.read import GarageNet
 
 #: Not reached: the value of a time that never came.
 NAN = math.nan
@@ -74,6 +75,12 @@ _SCHEMA: Mapping[str, tuple[tuple[str, str, str, str], ...]] = {
         ("mode", "VARCHAR", "", "state of the AGV, one of controller.types.AgvMode"),
         ("car", "VARCHAR", "", "name of the car it carries, empty for none"),
         ("soc", "DOUBLE", "", "state of charge of the battery, 0 to 1"),
+    ),
+    "plans": (
+        _TIME,
+        ("agv", "INTEGER", "", "number of the AGV; it has a row for each sample in which its plan differs"),
+        ("granted", "INTEGER", "", "vertices of the path from the first on that it owns, the others are planned"),
+        ("path", "VARCHAR", "", "row numbers in vertices (from 0) apart by spaces: the last one reached, those ahead"),
     ),
     "timeline": (
         _TIME,
@@ -121,6 +128,13 @@ _SCHEMA: Mapping[str, tuple[tuple[str, str, str, str], ...]] = {
         ("head", "INTEGER", "", "row number in vertices where it ends; two-way lanes have two edges"),
         ("length_m", "DOUBLE", "m", "driving length"),
     ),
+    "shapes": (
+        ("line", "INTEGER", "", "number of the line; a line's rows are its points in driving direction"),
+        ("edge", "INTEGER", "", "row number in edges (from 0) of which this is the lane, -1 for the street"),
+        ("part", "VARCHAR", "", "of the street: entry, queue, exit, or empty for a stretch between; empty for lanes"),
+        ("x_m", "DOUBLE", "m", "point of the centre line, to the east"),
+        ("y_m", "DOUBLE", "m", "point of the centre line, to the north"),
+    ),
 }
 
 #: The column dictionary: table -> column -> (unit, meaning).
@@ -130,6 +144,7 @@ COLUMNS: Mapping[str, Mapping[str, tuple[str, str]]] = {
 
 #: Kind of event -> what happened, and the keys of its detail.
 KINDS: Mapping[str, str] = {
+    "car_initial": "a car stands in a slot before the run starts",
     "request_made": "a customer asks: request (number), what (park or retrieve)",
     "request_refused": "a request can't be served: request, reason",
     "car_at_bay": "a customer's car stands at a bay: request",
@@ -326,6 +341,20 @@ class Recorder:
             for name, (x, y), has in zip(graph.names, graph.xy, roles, strict=True)
         ]
         self._rows["edges"] = list(zip(graph.tail.tolist(), graph.head.tolist(), graph.length_m.tolist(), strict=True))
+
+    def shapes(self, garage: GarageNet) -> None:
+        """Where lanes and street run, once per run, after ``floor``."""
+        street = garage.street
+        parts = {street.entry_edge: "entry", street.queue_edge: "queue", street.exit_edge: "exit"} if street else {}
+        lines = [(e, "", shape) for e, shape in enumerate(garage.shapes)]
+        lines += [(-1, parts.get(name, ""), shape) for name, shape in garage.street_shapes.items()]
+        self._rows["shapes"] = [
+            (number, edge, part, x, y) for number, (edge, part, shape) in enumerate(lines) for x, y in shape.tolist()
+        ]
+
+    def plan(self, time_s: float, agv: int, granted: int, path: Sequence[int]) -> None:
+        """An AGV's plan has changed. See ``COLUMNS["plans"]``."""
+        self._rows["plans"].append((time_s, agv, granted, " ".join(map(str, path))))
 
     def rows(self, table: str) -> Sequence[tuple[Any, ...]]:
         """The rows of a table so far, in the order of ``COLUMNS[table]``."""

@@ -100,6 +100,7 @@ class _Run:
         self.world = world
         self.recorder = Recorder()
         self.recorder.floor(world.net.graph)
+        self.recorder.shapes(world.net)
         self.garage = world.garage()
         self.acs = world.acs(self.garage, self._log)
         self.step = 0
@@ -115,11 +116,14 @@ class _Run:
         self._moved = (0, 0)
         self._moved_s = 0.0
         self._ready: list[Job] = []
+        self._plans: list[tuple[int, tuple[int, ...]]] = [(0, ())] * len(self.acs.agvs)
         self._overlaps = 0
         self._log_grants = world.scenario.record.grants
         self._soc = [1.0] * len(self.acs.agvs)
         self._drawn = [0.0] * len(self.acs.agvs)
         self._footprint: FootprintCheck | None = None
+        for car, slot in self.garage.parked.items():
+            self._log("car_initial", -1, car, slot, {})
 
     @property
     def now_s(self) -> float:
@@ -282,6 +286,8 @@ class _Run:
         self.recorder.sample(
             self.now_s, self.plant.samples(), [a.mode.value for a in agvs], cars, [a.soc for a in agvs]
         )
+        if self.world.scenario.record.plans:
+            self._sample_plans()
         for i, agv in enumerate(agvs):
             self._drawn[i] += max(0.0, self._soc[i] - agv.soc)
             self._soc[i] = agv.soc
@@ -291,6 +297,15 @@ class _Run:
         parked, waiting = len(self.garage.parked), len(self.garage.open)
         self.recorder.timeline(self.now_s, queue + spilled, spilled, parked, waiting, active)
         self._wall["record"] += perf_counter() - t
+
+    def _sample_plans(self) -> None:
+        """Record the plans that have changed: from the vertex reached last, through those granted, to the end."""
+        for i, a in enumerate(self.acs.executor.agvs):
+            ahead = list(a.trail)[max(0, a.reached - a.first) :]
+            plan = (len(ahead), (*ahead, *a.pending))
+            if plan != self._plans[i]:
+                self._plans[i] = plan
+                self.recorder.plan(self.now_s, i, *plan)
 
     def _log(self, kind: str, agv: int, car: str, vertex: int, detail: dict[str, object]) -> None:
         if self._footprint is not None and kind == "lift":
