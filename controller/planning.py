@@ -98,7 +98,7 @@ class Planning:
         self._rules = rules
         self._costs = costs
         self._log = log
-        self._progress = Progress(executor, agvs, costs)
+        self._progress = Progress(executor, agvs, costs, self._complete)
         self._ladder = Ladder(options.ladder, executor, agvs, self._progress, log)
         self._window = options.window_cells
         self._score = 0

@@ -162,9 +162,14 @@ class Ladder:
         found = [(m, cause) for m, cause in patterns if step - self._seen[m] >= self._limits.patience_steps]
         taken = {n for members, _ in found for n in members}
         for n in self._progress.stuck(step, self._limits.stuck_steps):
-            if n not in taken:
-                found.append((self._waiting_line(n, waits), "stuck"))
+            line = self._waiting_line(n, waits)
+            if n not in taken and not (len(line) > 1 and self._moves(line[-1])):
+                found.append((line, "stuck"))
         return found
+
+    def _moves(self, n: int) -> bool:
+        """It drives or acts, so that those behind it stand in a queue and in no deadlock."""
+        return not self._executor.agvs[n].standing
 
     @staticmethod
     def _waiting_line(first: int, waits: WaitGraph) -> tuple[int, ...]:

@@ -113,12 +113,19 @@ class Progress:
     """Since when each AGV has come no nearer to its goal.
 
     Driving to and fro is no progress: the least cost reached since the goal was set counts.
+
+    Args:
+        executor: where the AGVs are.
+        agvs: the fleet.
+        costs: how far it is to their goals.
+        complete: plans are complete: who has one to its goal is on its way, however long the way or a queue is.
     """
 
-    def __init__(self, executor: Executor, agvs: Sequence[Agv], costs: Costs) -> None:
+    def __init__(self, executor: Executor, agvs: Sequence[Agv], costs: Costs, complete: bool) -> None:
         self._executor = executor
         self._agvs = agvs
         self._costs = costs
+        self._complete = complete
         self._best = {agv.number: _Best(agv.goal, 0, 0) for agv in agvs}
 
     def update(self, step: int) -> None:
@@ -127,7 +134,8 @@ class Progress:
             best, a = self._best[agv.number], self._executor.agvs[agv.number]
             cost = int(self._costs.to(agv.goal)[a.last])
             acting = a.acting_until >= 0 or agv.action is not None or agv.goal == a.last
-            if acting or agv.goal != best.goal or cost < best.cost:
+            planned = self._complete and bool(a.pending) and a.pending[-1] == agv.goal
+            if acting or planned or agv.goal != best.goal or cost < best.cost:
                 best.goal, best.cost, best.since = agv.goal, cost, step
 
     def stuck(self, step: int, steps: int) -> list[int]:
