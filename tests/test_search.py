@@ -1,6 +1,7 @@
 """The parts of the single-agent search, each against a plain counterpart."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import networkx as nx
 import numpy as np
@@ -18,8 +19,9 @@ from controller.types import FOREVER, NEVER, Path, PlanAgent, PlanningProblem, P
 from sumo_nets.graph import make_graph
 
 
-def edge_state_graph(graph, motion, loaded, goal, blocked):
+def edge_state_graph(graph, motion, loaded, goal_and_start, blocked):
     """Arcs from an edge to the next one, and from an edge that ends at the goal to "goal"."""
+    goal = goal_and_start[0]
     g = nx.DiGraph()
     for e, w in enumerate(graph.head.tolist()):
         g.add_node(e)
@@ -27,7 +29,7 @@ def edge_state_graph(graph, motion, loaded, goal, blocked):
             g.add_edge(e, "goal", weight=0)
         for out in range(graph.first_out[w], graph.first_out[w + 1]):
             turn = motion.turn(graph, e, out, loaded)
-            if turn < NEVER and (not blocked[graph.head[out]] or graph.head[out] == goal):
+            if turn < NEVER and (not blocked[graph.head[out]] or graph.head[out] in goal_and_start):
                 g.add_edge(e, out, weight=turn + int(motion.edge_steps[int(loaded), out]))
     return g
 
@@ -44,8 +46,8 @@ def test_distances_equal_dijkstra_on_edges_in_any_order_of_questions(data):
         distances.update(blocked)
         for goal in data.draw(st.lists(vertex, min_size=1, max_size=3)):
             loaded = data.draw(st.booleans())
-            arcs = edge_state_graph(graph, motion, loaded, goal, blocked)
             for e in data.draw(st.permutations(range(len(graph.tail))))[:4]:
+                arcs = edge_state_graph(graph, motion, loaded, (goal, int(graph.head[e])), blocked)
                 try:
                     expected = nx.dijkstra_path_length(arcs, e, "goal")
                 except (nx.NetworkXNoPath, nx.NodeNotFound):
@@ -123,7 +125,7 @@ def test_reservations_equal_a_table_of_steps(actions, following):
         for v in range(3):
             rows = list(table.intervals(v))
             assert all(a < b for a, b, _ in rows)
-            assert all(first[1] <= second[0] for first, second in zip(rows, rows[1:], strict=False))
+            assert all(first[1] <= second[0] for first, second in pairwise(rows))
             for t in range(60):
                 assert table.owner(v, t) == steps.owners.get((v, t), -1)
     table.clear()

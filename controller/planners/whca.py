@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Protocol
 
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
@@ -63,17 +64,37 @@ class Whca:
         self.table.clear()
         for path in problem.fixed:
             self.table.add(path)
-        round_ = _Round(problem, self.table, self._search, self.options.raises)
+        round_ = Round(problem, self.table, self._search, self.options.raises)
         round_.run()
         counters = Counters(*self.distances.counters.tolist())
-        status = Status.PARTIAL if round_.failed else Status.SOLVED
-        return PlanResult(status, round_.paths, round_.failed, counters)
+        return PlanResult(round_.status, round_.paths, round_.failed, counters)
 
 
-class _Round:
-    """One planning call: who has a path, who holds, who is still to be planned."""
+class SingleAgentSearch(Protocol):
+    """What finds one agent's path: ``PathSearch`` anywhere on the floor, or a planner's own along a fixed route."""
 
-    def __init__(self, problem: PlanningProblem, table: ReservationTable, search: PathSearch, raises: int) -> None:
+    blocker: int
+
+    def find_path(self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable) -> Path | None:
+        """A path that keeps clear of the table, or None; then ``blocker`` is who is in the way, or -1."""
+
+
+class Round:
+    """One planning call, agent after agent: who has a path, who holds, who is still to be planned.
+
+    Args:
+        problem: what to plan.
+        table: the reservations of ``problem.fixed``; those of the paths found are added.
+        search: finds each agent's path.
+        raises: see ``WhcaOptions``.
+
+    Attributes:
+        paths, failed: as in ``PlanResult``.
+    """
+
+    def __init__(
+        self, problem: PlanningProblem, table: ReservationTable, search: SingleAgentSearch, raises: int
+    ) -> None:
         self.problem = problem
         self.table = table
         self.search = search
@@ -82,6 +103,11 @@ class _Round:
         self.paths: dict[int, Path] = {}
         self.failed: dict[int, int] = {}
         self.queue = deque(sorted(problem.agents, key=lambda agent: (-agent.priority, agent.agv)))
+
+    @property
+    def status(self) -> Status:
+        """SOLVED, or PARTIAL when some agent holds."""
+        return Status.PARTIAL if self.failed else Status.SOLVED
 
     def run(self) -> None:
         """Plan until each agent has a path or holds. Ends: raises are bounded, and a holder never moves again."""

@@ -2,7 +2,7 @@
 
 A state is an edge: "at its head, having come over it", so that turns count. The search runs backwards from the goal and
 is aimed at the first vertex that asked; a later question resumes it where it stopped. Other agents are ignored, blocked
-vertices are not: they may be left, never driven into, unless they are the goal.
+vertices are not: they may be left, never driven into, unless they are the goal or the asker's own vertex.
 
 Departure from the paper: durations differ per edge, turns cost time, and the estimate is the larger of the Manhattan
 and the Euclidean distance times the fastest pace of any edge (consistent, so a closed state is final).
@@ -24,7 +24,7 @@ from sumo_nets.graph import FloatArray, IntArray
 #: Columns of ``Field.states``: g + 1 (0: not seen yet), f, place in OPEN + 1 (-1: closed), and OPEN itself.
 G, F, PLACE, OPEN = 0, 1, 2, 3
 #: Places of ``Field.meta``.
-SIZE, GOAL, LOADED = 0, 1, 2
+SIZE, GOAL, LOADED, EXEMPT = 0, 1, 2, 3
 
 
 class Field(NamedTuple):
@@ -32,7 +32,7 @@ class Field(NamedTuple):
 
     Attributes:
         states: shape (m, 4), int32; zeroed memory that is not touched costs nothing.
-        meta: number of states in OPEN, the goal, and 1 if loaded.
+        meta: number of states in OPEN, the goal, 1 if loaded, and a vertex exempt from being blocked or -1.
         aim: x, y of the vertex it is aimed at, steps per metre by Manhattan and by Euclidean distance.
     """
 
@@ -42,7 +42,7 @@ class Field(NamedTuple):
 
 
 class Distances:
-    """Distance fields by (goal, loaded), the least recently used ones dropped beyond ``max_bytes``.
+    """Distance fields by (goal, loaded, exempt vertex), the least recently used ones dropped beyond ``max_bytes``.
 
     Attributes:
         space: the garage.
@@ -52,30 +52,27 @@ class Distances:
 
     def __init__(self, space: Space, max_bytes: int = 1 << 29) -> None:
         self.space = space
-        self.blocked: NDArray[np.uint8] = np.zeros(len(space.leaf), dtype=np.uint8)
+        self.blocked: NDArray[np.uint8] = np.zeros(len(space.lanes.xy), dtype=np.uint8)
         self.counters: NDArray[np.int64] = np.zeros(4, dtype=np.int64)
-        self._fields: OrderedDict[tuple[int, bool], Field] = OrderedDict()
+        self._fields: OrderedDict[tuple[int, bool, int], Field] = OrderedDict()
         self._cap = max(64, max_bytes // (16 * max(1, len(space.lanes.tail))))
 
     def update(self, blocked: NDArray[np.uint8]) -> None:
-        """Take over a new set of blocked vertices and drop the fields whose search has come to one that changed.
-
-        A leaf never matters: nobody drives through it, and as a goal it is exempt.
-        """
-        changed = np.flatnonzero((blocked != self.blocked) & ~self.space.leaf)
+        """Take over a new set of blocked vertices and drop the fields that would not be the same any more."""
+        changed = np.flatnonzero(blocked != self.blocked).astype(np.int32)
         self.blocked[:] = blocked
-        if len(changed) and self._fields:
-            first_in, in_edges = self.space.lanes.first_in, self.space.lanes.in_edges
-            edges = np.concatenate([in_edges[first_in[v] : first_in[v + 1]] for v in changed])
-            for key in [k for k, field in self._fields.items() if field.states[edges, G].any()]:
+        if len(changed):
+            lanes = self.space.lanes
+            for key in [k for k, field in self._fields.items() if _differs(changed, field, lanes, self.blocked)]:
                 del self._fields[key]
 
     def field(self, goal: int, loaded: bool, asker: int) -> Field:
-        """The field of a goal, new ones aimed at the vertex ``asker``."""
-        key = (goal, loaded)
+        """The field of a goal, new ones aimed at the vertex ``asker``, which may be driven into though blocked."""
+        exempt = asker if self.blocked[asker] else -1
+        key = (goal, loaded, exempt)
         field = self._fields.get(key)
         if field is None:
-            field = self._new_field(goal, loaded, asker)
+            field = self._new_field(goal, loaded, exempt, asker)
             self._fields[key] = field
             if len(self._fields) > self._cap:
                 self._fields.popitem(last=False)
@@ -100,11 +97,11 @@ class Distances:
         field = self.field(goal, loaded, vertex)
         return int(distance_from(vertex, in_edge, field, self.space.lanes, self.blocked, self.counters))
 
-    def _new_field(self, goal: int, loaded: bool, asker: int) -> Field:
+    def _new_field(self, goal: int, loaded: bool, exempt: int, asker: int) -> Field:
         s = self.space
         field = Field(
             np.zeros((len(s.lanes.tail), 4), dtype=np.int32),
-            np.array([0, goal, loaded], dtype=np.int32),
+            np.array([0, goal, loaded, exempt], dtype=np.int32),
             np.array([*s.lanes.xy[asker], *s.rates[int(loaded)]]),
         )
         _begin(field, s.lanes, self.counters)
@@ -116,14 +113,13 @@ def distance_from(
     vertex: int, in_edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]
 ) -> int:
     """Remaining steps from a vertex entered over ``in_edge``; -1 for an AGV whose first move needs no turn."""
-    goal = field.meta[GOAL]
-    if vertex == goal:
+    if vertex == field.meta[GOAL]:
         return 0
     if in_edge >= 0:
         return settle(in_edge, field, lanes, blocked, counters)
     best = FOREVER
     for e in range(lanes.first_out[vertex], lanes.first_out[vertex + 1]):
-        if not blocked[lanes.head[e]] or lanes.head[e] == goal:
+        if _may_enter(lanes.head[e], field, blocked):
             h = settle(e, field, lanes, blocked, counters)
             best = min(best, h + lanes.edge_steps[field.meta[LOADED], e])
     return best
@@ -133,14 +129,14 @@ def distance_from(
 def settle(edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]) -> int:
     """Resume the search until ``edge`` is closed; its remaining steps, ``FOREVER`` if OPEN runs empty before."""
     states, meta = field.states, field.meta
-    goal, loaded = meta[GOAL], meta[LOADED]
+    loaded = meta[LOADED]
     while states[edge, PLACE] != -1:
         if meta[SIZE] == 0:
             return FOREVER
         out = _pop(states, meta, counters)
         counters[EXPANDED] += 1
         counters[VALID] += 1
-        if blocked[lanes.head[out]] and lanes.head[out] != goal:
+        if not _may_enter(lanes.head[out], field, blocked):
             continue
         v = lanes.tail[out]
         for i in range(lanes.first_in[v], lanes.first_in[v + 1]):
@@ -154,6 +150,36 @@ def settle(edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], co
             if states[e, G] == 0 or g < states[e, G]:
                 _push(e, g, _estimate(v, field.aim, lanes.xy), states, meta, counters)
     return int(states[edge, G]) - 1
+
+
+@njit(cache=True)
+def _may_enter(v: int, field: Field, blocked: NDArray[np.uint8]) -> bool:
+    return not blocked[v] or v == field.meta[GOAL] or v == field.meta[EXEMPT]
+
+
+@njit(cache=True)
+def _differs(changed: IntArray, field: Field, lanes: Lanes, blocked: NDArray[np.uint8]) -> bool:
+    """Whether what the search has found so far depends on any of the vertices that changed to or from blocked.
+
+    It does where an edge into such a vertex is closed and some state before it got its g from there, or, now that the
+    vertex is free, would get a better one.
+    """
+    states, loaded = field.states, field.meta[LOADED]
+    for w in changed:
+        if w == field.meta[GOAL] or w == field.meta[EXEMPT]:
+            continue
+        for i in range(lanes.first_in[w], lanes.first_in[w + 1]):
+            out = lanes.in_edges[i]
+            if states[out, PLACE] != -1:
+                continue
+            v = lanes.tail[out]
+            for j in range(lanes.first_in[v], lanes.first_in[v + 1]):
+                e = lanes.in_edges[j]
+                turn = lanes.turn_steps[loaded, lanes.first_transition[e] + out - lanes.first_out[v]]
+                g = states[out, G] + lanes.edge_steps[loaded, out] + turn
+                if turn < NEVER and (states[e, G] == g if blocked[w] else states[e, G] == 0 or g < states[e, G]):
+                    return True
+    return False
 
 
 @njit(cache=True)

@@ -43,7 +43,6 @@ class Space:
         lanes: the arrays for the kernels.
         rates: steps per metre that no edge beats, by Manhattan and by Euclidean length of the edge, for empty
             (row 0) and loaded (row 1) AGVs, shape (2, 2).
-        leaf: shape (n,), True for a vertex with a single neighbour: nobody can pass through it.
     """
 
     def __init__(self, graph: Graph, motion: Motion) -> None:
@@ -62,7 +61,6 @@ class Space:
             xy=np.array(graph.xy, dtype=np.float64),
         )
         self.rates = self._rates()
-        self.leaf = self._leaves(n)
 
     def _rates(self) -> FloatArray:
         span = np.abs(self.lanes.xy[self.lanes.head] - self.lanes.xy[self.lanes.tail])
@@ -72,11 +70,6 @@ class Space:
             if real.any():
                 rates[:, k] = (self.lanes.edge_steps[:, real] / metres[real]).min(axis=1) * (1 - 1e-9)
         return rates
-
-    def _leaves(self, n: int) -> NDArray[np.bool_]:
-        ends = np.stack((self.lanes.tail, self.lanes.head), axis=1)
-        pairs = np.concatenate((ends, ends[:, ::-1]))
-        return np.asarray(np.bincount(np.unique(pairs, axis=0)[:, 0], minlength=n) <= 1)
 
 
 def _int32(a: IntArray | NDArray[np.int64]) -> IntArray:

@@ -1,0 +1,105 @@
+"""An indexed binary heap for search kernels: each vertex at most once, its key may change while it is inside.
+
+Keys are single integers. Everything is written in place; ``counters`` gets a heap move for each push, each removal and
+each swap, and one generated state for each push.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from controller.search.space import GENERATED, HEAP_MOVES
+from sumo_nets.graph import IntArray
+
+Counts = NDArray[np.int64]
+
+
+class Heap(NamedTuple):
+    """The queue of one search.
+
+    Attributes:
+        key: key of each vertex that is inside, shape (n,).
+        place: its place in ``items``, -1 for those outside, shape (n,).
+        items: the heap, shape (n,).
+        size: number of vertices inside, shape (1,).
+    """
+
+    key: NDArray[np.int64]
+    place: IntArray
+    items: IntArray
+    size: IntArray
+
+
+def make_heap(n: int) -> Heap:
+    """An empty heap for vertices 0 to ``n - 1``."""
+    return Heap(
+        np.zeros(n, dtype=np.int64),
+        np.full(n, -1, dtype=np.int32),
+        np.zeros(n, dtype=np.int32),
+        np.zeros(1, dtype=np.int32),
+    )
+
+
+@njit(cache=True)
+def clear(heap: Heap) -> None:
+    """Take everything out, without counting it."""
+    for i in range(heap.size[0]):
+        heap.place[heap.items[i]] = -1
+    heap.size[0] = 0
+
+
+@njit(cache=True)
+def put(v: int, key: int, heap: Heap, counters: Counts) -> None:
+    """Put a vertex in, or change its key."""
+    i = heap.place[v]
+    heap.key[v] = key
+    if i < 0:
+        i = heap.size[0]
+        heap.size[0] += 1
+        heap.items[i] = v
+        heap.place[v] = i
+        counters[HEAP_MOVES] += 1
+        counters[GENERATED] += 1
+    _sift(i, heap, counters)
+
+
+@njit(cache=True)
+def take(v: int, heap: Heap, counters: Counts) -> None:
+    """Take a vertex out that is inside."""
+    i = heap.place[v]
+    heap.place[v] = -1
+    heap.size[0] -= 1
+    counters[HEAP_MOVES] += 1
+    last = heap.items[heap.size[0]]
+    if last != v:
+        heap.items[i] = last
+        heap.place[last] = i
+        _sift(i, heap, counters)
+
+
+@njit(cache=True)
+def _sift(i: int, heap: Heap, counters: Counts) -> None:
+    """Move the vertex at place ``i`` up or down to where it belongs."""
+    while i > 0 and heap.key[heap.items[i]] < heap.key[heap.items[(i - 1) >> 1]]:
+        _swap(i, (i - 1) >> 1, heap, counters)
+        i = (i - 1) >> 1
+    while 2 * i + 1 < heap.size[0]:
+        down = 2 * i + 1
+        if down + 1 < heap.size[0] and heap.key[heap.items[down + 1]] < heap.key[heap.items[down]]:
+            down += 1
+        if heap.key[heap.items[i]] <= heap.key[heap.items[down]]:
+            break
+        _swap(i, down, heap, counters)
+        i = down
+
+
+@njit(cache=True)
+def _swap(i: int, j: int, heap: Heap, counters: Counts) -> None:
+    heap.items[i], heap.items[j] = heap.items[j], heap.items[i]
+    heap.place[heap.items[i]] = i
+    heap.place[heap.items[j]] = j
+    counters[HEAP_MOVES] += 1
