@@ -117,8 +117,8 @@ def retime(executor: Executor, step: int) -> dict[int, Path]:
         ready = executor.ready_step(agv, step)
         for v in list(a.trail)[:-1]:
             free_at[v] = ready
-    for a in agvs:
-        free_at[a.last] = FOREVER
+    occupant = {a.last: agv for agv, a in enumerate(agvs)}
+    free_at.update(dict.fromkeys(occupant, FOREVER))
     rows: list[tuple[list[int], list[int], list[int]]] = [([a.last], [0], []) for a in agvs]
     clock = [executor.ready_step(agv, step) for agv in range(len(agvs))]
     in_edge = [a.in_edge for a in agvs]
@@ -134,7 +134,7 @@ def retime(executor: Executor, step: int) -> dict[int, Path]:
             here = vertices[-1]
             mine = executor.order[w][position[w]] == agv
             free = 0 if w == here else free_at.get(w, 0)
-            if not mine or (free == FOREVER and executor.owner[w] != agv):
+            if not mine or (free == FOREVER and occupant[w] != agv):
                 break
             edge = graph.edge_index[here, w]
             has_turned = done[agv] == 0 and agvs[agv].turned_to == w
@@ -149,7 +149,7 @@ def retime(executor: Executor, step: int) -> dict[int, Path]:
             in_edge[agv] = edge
             position[w] += 1
             done[agv] += 1
-            free_at[w] = FOREVER
+            free_at[w], occupant[w] = FOREVER, agv
             if here != w:
                 free_at[here] = clock[agv]
                 waiting = executor.order.get(here)
