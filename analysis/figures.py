@@ -88,7 +88,7 @@ def draw_waits(run: Run) -> Figure | None:
     values = waits(run.tasks)
     if not any(len(values[name]) for name, *_ in shown):
         return None
-    figure, (axes,) = _figure(2.9)
+    figure, (axes,) = new_figure(2.9)
     for name, label, color, dash in shown:
         x = np.sort(values[name]) / 60.0
         if len(x):
@@ -115,7 +115,7 @@ def draw_waits_over_time(run: Run) -> Figure | None:
     waiting = asked[asked["delivered_s"].isna()]
     if asked.empty:
         return None
-    figure, (axes,) = _figure(2.5)
+    figure, (axes,) = new_figure(2.5)
     big = len(asked) > 3000
     end = float(run.meta.get("simulated_s") or asked["requested_s"].max())
     axes.plot(
@@ -144,7 +144,7 @@ def draw_queue(run: Run) -> Figure | None:
         return None
     from matplotlib.ticker import MaxNLocator
 
-    figure, (top, bottom) = _figure(3.8, rows=2)
+    figure, (top, bottom) = new_figure(3.8, rows=2)
     binned = _binned(line, ["queue", "spilled", "waiting_requests", "parked"])
     for name, label, color, dash in (
         ("queue", "cars waiting for a bay", BLUE, "-"),
@@ -177,7 +177,7 @@ def draw_utilisation(run: Run) -> Figure | None:
         seconds = np.vstack([seconds, seconds.sum(axis=0)])
         labels = [f"AGV {agv}" for agv in agvs["agv"]] + ["all"]
     shares = seconds / np.maximum(seconds.sum(axis=1, keepdims=True), 1e-9)
-    figure, (axes,) = _figure(0.9 + 0.22 * len(labels))
+    figure, (axes,) = new_figure(0.9 + 0.22 * len(labels))
     left = np.zeros(len(labels))
     for k, name in enumerate(ACTIVITIES):
         axes.barh(labels, shares[:, k], left=left, color=ACTIVITY_COLORS[name], label=name, height=0.8)
@@ -198,7 +198,7 @@ def draw_deadlocks(run: Run) -> Figure | None:
     if found.empty:
         return None
     resolved = run.details("deadlock_resolved")
-    figure, (axes,) = _figure(2.3)
+    figure, (axes,) = new_figure(2.3)
     if len(resolved):
         colors = (BLUE, ORANGE, GREEN, PINK, SKY, YELLOW)
         for k, stage in enumerate(sorted(set(resolved["stage"]))):
@@ -234,7 +234,7 @@ def draw_planning(run: Run) -> Figure | None:
         return None
     from matplotlib.ticker import LogLocator
 
-    figure, (axes,) = _figure(2.2)
+    figure, (axes,) = new_figure(2.2)
     edges = np.geomspace(wall.min() * 0.95, wall.max() * 1.05, 41)
     axes.hist(wall, bins=edges.tolist(), color=BLUE, histtype="stepfilled")
     for q in (0.5, 0.99):
@@ -263,7 +263,7 @@ def draw_floor(run: Run) -> Figure | None:
     spread = np.ptp(xy, axis=0) + 5.0
     wide = spread[0] > 1.4 * spread[1]
     panel = min(5.5, (WIDTH_IN - 0.9) * spread[1] / spread[0] if wide else 0.45 * WIDTH_IN * spread[1] / spread[0])
-    figure, panels = _figure((panel + 0.3) * (2 if wide else 1), rows=2 if wide else 1, columns=1 if wide else 2)
+    figure, panels = new_figure((panel + 0.3) * (2 if wide else 1), rows=2 if wide else 1, columns=1 if wide else 2)
     titles = "driving: AGV-minutes", "standing with a task: AGV-minutes"
     for axes, values, title in zip(panels, (passed / 60.0, stood / 60.0), titles, strict=True):
         axes.plot(*_lines(xy, lanes), color=GREY, linewidth=0.5, alpha=0.6)
@@ -370,7 +370,7 @@ def words(name: object) -> str:
     return str(name).replace("_", " ").replace("cbs", "CBS")
 
 
-def _figure(height_in: float, rows: int = 1, columns: int = 1) -> tuple[Figure, list[Axes]]:
+def new_figure(height_in: float, rows: int = 1, columns: int = 1) -> tuple[Figure, list[Axes]]:
     """A figure without pyplot: nothing global, nothing to close."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
