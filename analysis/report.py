@@ -57,7 +57,7 @@ def write_report(folder: Path) -> Path:
     """
     run = load_run(folder)
     metrics = run_metrics(run)
-    page = _environment().get_template("report.html").render(
+    page = environment().get_template("report.html").render(
         run=run,
         title=_title(run),
         headlines=headlines(run, metrics),
@@ -77,7 +77,7 @@ def write_report(folder: Path) -> Path:
         digest=sorted((run.meta.get("digest") or {}).items()),
         files=_files(folder),
     )  # fmt: skip
-    return _write(folder / "report.html", page)
+    return write_page(folder / "report.html", page)
 
 
 def write_index(folders: Sequence[Path], path: Path) -> Path:
@@ -95,8 +95,8 @@ def write_index(folders: Sequence[Path], path: Path) -> Path:
         OSError: if the file can't be written.
     """
     rows = [_index_row(folder, path.parent) for folder in folders]
-    page = _environment().get_template("index.html").render(rows=rows, title=f"{len(rows)} runs")
-    return _write(path, page)
+    page = environment().get_template("index.html").render(rows=rows, title=f"{len(rows)} runs")
+    return write_page(path, page)
 
 
 def headlines(run: Run, metrics: Metrics) -> list[str]:
@@ -371,7 +371,8 @@ def _index_row(folder: Path, base: Path) -> dict[str, Any]:
     }
 
 
-def _environment() -> Environment:
+def environment() -> Environment:
+    """The templates of the pages."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     return Environment(
@@ -383,8 +384,8 @@ def _environment() -> Environment:
     )
 
 
-def _write(path: Path, page: str) -> Path:
-    """Whole or not at all."""
+def write_page(path: Path, page: str) -> Path:
+    """Write a page, whole or not at all, and return its path."""
     temporary = path.with_suffix(".tmp")
     temporary.write_text(page, encoding="utf-8")
     os.replace(temporary, path)

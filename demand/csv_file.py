@@ -43,6 +43,10 @@ class Csv(Workload):
         _check_order(rows, set(self.initial_cars), self.path)
         return Demand(self.initial_cars, (tuple(request for _, request in rows),))
 
+    def files(self, base_dir: Path) -> tuple[Path, ...]:
+        """The file with the requests."""
+        return (base_dir / self.path,)
+
 
 def _read(path: Path) -> list[tuple[int, Request]]:
     """Requests in order of time, each with its row in the file (the header is row 1)."""

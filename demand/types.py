@@ -54,6 +54,17 @@ class Workload(BaseModel, ABC):
             InputError: the options don't fit the garage, or a file they name is bad.
         """
 
+    def files(self, base_dir: Path) -> tuple[Path, ...]:
+        """The files that the demand is read from.
+
+        Args:
+            base_dir: folder from which relative paths in the options count.
+
+        Returns:
+            Their paths; most profiles have none.
+        """
+        return ()
+
 
 def stream(seed: int, name: str) -> np.random.Generator:
     """A random generator of its own for each purpose, so that drawing more for one leaves the others as they were.

@@ -114,6 +114,45 @@ def demo(
     raise typer.Exit(run_demo(out or Path("runs/demo"), force or out is None, quiet))
 
 
+Workers = Annotated[int | None, typer.Option(help="Processes on this machine; default: one a core.")]
+Scheduler = Annotated[str | None, typer.Option(help="A dask scheduler instead, such as tcp://host:8786.")]
+
+
+@app.command()
+def sweep(
+    plan: Annotated[Path, typer.Argument(help="A sweep file (.yaml): base, grid, list, seeds.")],
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the sweep; default: runs/ and the file's name.")] = None,
+    report: Annotated[bool, typer.Option(help="Write an HTML report.")] = True,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
+) -> None:
+    """Run many scenarios; what is done already is skipped, so that a stopped sweep goes on."""
+    from parking_sim.executors import open_executor
+    from parking_sim.progress import SweepBar
+    from parking_sim.sweep import sweep as run_sweep
+    from parking_sim.sweep_plan import label, load_sweep
+
+    specs = load_sweep(plan)
+    folder = out or Path("runs") / plan.stem
+    with open_executor(workers, scheduler) as executor, SweepBar(quiet) as bar:
+        failures = run_sweep(specs, folder, executor, bar.update)
+    for failure in failures:
+        print(
+            f"failed: {label(failure.spec.varied)} seed={failure.spec.scenario.seed}: {failure.error}", file=sys.stderr
+        )
+    done = len(specs) - len(failures)
+    if not quiet:
+        print(f"{done} of {len(specs)} runs: {folder}")
+    if report and done:
+        from analysis.sweep_report import write_sweep_report
+
+        page = write_sweep_report(folder)
+        if not quiet:
+            print(f"report: {page}")
+    raise typer.Exit(UNFINISHED if failures else 0)
+
+
 @app.command()
 def nets() -> None:
     """List the shipped garages."""
@@ -200,9 +239,10 @@ def schema() -> None:
 def columns() -> None:
     """Explain every column of a record's tables and every metric: table, name, unit, meaning, separated by tabs."""
     from analysis.metrics import METRICS
+    from analysis.runs import run_columns
     from parking_sim.record import COLUMNS
 
-    for table, entries in {**COLUMNS, "metrics": METRICS}.items():
+    for table, entries in {**COLUMNS, "metrics": METRICS, "runs": run_columns()}.items():
         for name, (unit, meaning) in entries.items():
             print(table, name, unit, meaning, sep="\t")
 

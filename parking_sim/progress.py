@@ -1,8 +1,10 @@
-"""Progress of runs as bars on the terminal."""
+"""Progress of runs as bars on the terminal, of a sweep also as lines in a log."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from time import perf_counter
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -11,6 +13,10 @@ from rich.console import Console
 
 if TYPE_CHECKING:
     from parking_sim.simulation import Progress
+    from parking_sim.sweep import SweepProgress
+
+#: Seconds between two lines when there is no terminal for a bar.
+_LINE_S = 30.0
 
 
 class RunBars:
@@ -55,3 +61,55 @@ class RunBars:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bars.stop()
+
+
+class SweepBar:
+    """How far a sweep is: a bar on the terminal, or a line now and then where there is none."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        """Prepare; the bar appears on entering the context.
+
+        Args:
+            quiet: show nothing.
+        """
+        self._quiet = quiet
+        self._said_s = perf_counter()
+        self._bar = rich_progress.Progress(
+            rich_progress.BarColumn(),
+            "{task.fields[words]}",
+            rich_progress.TimeElapsedColumn(),
+            console=Console(stderr=True),
+            transient=True,
+            disable=quiet or not sys.stderr.isatty(),
+        )
+        self._id = self._bar.add_task("", total=None, words="starting")
+
+    def update(self, progress: SweepProgress) -> None:
+        """Show how far the sweep is."""
+        words = progress_words(progress)
+        ended = progress.done + progress.failed
+        self._bar.update(self._id, completed=ended, total=progress.total, words=words)
+        if self._bar.disable and not self._quiet and perf_counter() - self._said_s > _LINE_S:
+            self._said_s = perf_counter()
+            print(words, file=sys.stderr, flush=True)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+
+
+def progress_words(progress: SweepProgress) -> str:
+    """A sweep's progress in words: ``37 of 200 runs, 1 failed, about 4 min left``."""
+    failed = f", {progress.failed} failed" if progress.failed else ""
+    left = ""
+    if progress.left_s is not None and progress.done + progress.failed < progress.total:
+        minutes = round(progress.left_s / 60)
+        left = f", about {minutes // 60} h {minutes % 60:02} min left" if minutes >= 60 else (
+            f", about {minutes} min left" if minutes else ", less than a minute left"
+        )  # fmt: skip
+    return f"{progress.done} of {progress.total} runs{failed}{left}"

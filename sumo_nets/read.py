@@ -112,6 +112,22 @@ def shipped_nets() -> tuple[str, ...]:
     return tuple(sorted(p.name.removesuffix(suffix) for p in _nets_folder().glob(f"*{suffix}")))
 
 
+def net_files(name_or_path: str | Path) -> tuple[Path, Path]:
+    """The files that make a garage, which need not be valid.
+
+    Args:
+        name_or_path: as for :func:`read_net`.
+
+    Returns:
+        The net and its additional file.
+
+    Raises:
+        NetError: unknown name or missing net.
+    """
+    net_file, name = _find(name_or_path)
+    return net_file, net_file.with_name(f"{name}.add.xml")
+
+
 def read_net(name_or_path: str | Path) -> GarageNet:
     """Read a garage from its net and its additional file.
 
@@ -125,11 +141,10 @@ def read_net(name_or_path: str | Path) -> GarageNet:
     Raises:
         NetError: unknown name, missing or unreadable file, a net without bays, or roles that contradict each other.
     """
-    net_file, name = _find(name_or_path)
-    additional_file = net_file.with_name(f"{name}.add.xml")
+    net_file, additional_file = net_files(name_or_path)
     net = _read_net_file(net_file)
     extra = _read_additional_file(additional_file)
-    graph = _graph(net, name, net_file)
+    graph = _graph(net, additional_file.name.removesuffix(".add.xml"), net_file)
     if not graph.bays:
         raise NetError(f"{net_file}: the net has no bays: mark a junction with the parameter garage.bay")
     street, bays = _bay_sites(net, extra, graph, net_file)

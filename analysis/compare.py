@@ -1,0 +1,274 @@
+"""Two variants on the same customers: differences paired by seed, in words, in numbers and in a figure.
+
+Both variants run with the same seeds and so meet the same customers. The difference is taken seed by seed and its mean
+gets Student's t interval over the seeds; what makes a day hard is the same on both sides and cancels, so that far fewer
+runs are needed than for two separate intervals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.measures import MEASURES, Interval, interval, measure_runs, t_quantile
+from analysis.runs import Runs, load_runs
+from parking_sim.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+Values = NDArray[np.float64]
+
+#: Measures that a comparison shows when nothing else is asked.
+HEADLINES = (
+    "retrieval_wait_mean_s", "retrieval_wait_p50_s", "retrieval_wait_p95_s", "park_queue_mean_s", "park_total_mean_s",
+    "tasks_per_hour", "queue_mean", "deadlocks_per_hour",
+)  # fmt: skip
+
+#: An interval is short enough when half of it is at most this share of the first variant's mean.
+PRECISION = 0.05
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One measure of two variants.
+
+    Attributes:
+        key: key of ``analysis.measures.MEASURES``.
+        a, b: means of both with their own intervals.
+        change: b - a, paired by seed.
+        pairs: b - a of each seed.
+        needed: number of seeds after which half the interval is about ``PRECISION`` of a's mean.
+    """
+
+    key: str
+    a: Interval
+    b: Interval
+    change: Interval
+    pairs: tuple[float, ...]
+    needed: int
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the interval leaves out 0."""
+        return self.change.low > 0 or self.change.high < 0
+
+    @property
+    def is_precise(self) -> bool:
+        """Whether half the interval is at most ``PRECISION`` of a's mean."""
+        return self.change.half <= PRECISION * abs(self.a.mean)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two variants, named as asked for, the seeds they share and the differences."""
+
+    names: tuple[str, str]
+    seeds: tuple[int, ...]
+    warmup_s: float
+    differences: tuple[Difference, ...]
+
+
+def select_runs(choice: str) -> Runs:
+    """The runs of one variant.
+
+    Args:
+        choice: a folder, and behind a colon what picks a variant in it: ``runs/sweep:agvs=4,planner=whca``.
+
+    Returns:
+        Its runs, each with a seed of its own.
+
+    Raises:
+        InputError: no such runs, or those of several variants.
+    """
+    name, _, conditions = choice.partition(":")
+    try:
+        runs = load_runs(Path(name))
+    except FileNotFoundError as error:
+        raise InputError(f"{choice}: {error}") from None
+    frame = runs.runs.df()
+    for condition in filter(None, conditions.split(",")):
+        key, _, value = condition.partition("=")
+        if key not in frame:
+            raise InputError(f"{choice}: {key}: no such key; these vary: {', '.join(varying(frame)) or 'none'}")
+        found = frame[[_same(cell, value) for cell in frame[key]]]
+        if found.empty:
+            given = ", ".join(dict.fromkeys(str(cell) for cell in frame[key]))
+            raise InputError(f"{choice}: {key}: {value!r}: no such run; there are {given}")
+        frame = found
+    several = varying(frame)
+    if several:
+        example = f"{name}:{','.join(f'{key}={_plain(frame[key].iloc[0])}' for key in several)}"
+        raise InputError(f"{choice}: has several variants: pick one, such as {example}")
+    return Runs({run: runs.folders[run] for run in frame["run"]}, runs.varied, runs.failures)
+
+
+def varying(frame: pd.DataFrame) -> list[str]:
+    """Keys of the scenario that differ among runs, besides the seed.
+
+    Args:
+        frame: table ``runs``.
+    """
+    from analysis.metrics import METRICS
+    from analysis.runs import run_columns
+
+    known = set(run_columns()) - set(METRICS) - {"run", "status", "seed"}
+    others = {column for column in frame if str(column).startswith("planner_options.")}
+    return [str(c) for c in frame if c in known | others and frame[c].nunique(dropna=False) > 1]
+
+
+def compare(
+    a: Runs, b: Runs, names: tuple[str, str] = ("A", "B"), warmup_s: float = 0.0, keys: Sequence[str] = HEADLINES
+) -> Comparison:
+    """Compare two variants by the seeds they share.
+
+    Args:
+        a, b: runs of the two, see :func:`select_runs`.
+        names: what to call them.
+        warmup_s: simulated seconds at the start that don't count.
+        keys: measures, keys of ``analysis.measures.MEASURES``.
+
+    Returns:
+        The comparison; measures that either variant has nothing for are left out.
+
+    Raises:
+        InputError: fewer than two seeds in common, or a seed twice in one variant.
+    """
+    tables = [measure_runs(runs, warmup_s) for runs in (a, b)]
+    for table, name in zip(tables, names, strict=True):
+        if table["seed"].duplicated().any():
+            raise InputError(f"{name}: has seed {table['seed'][table['seed'].duplicated()].iloc[0]} more than once")
+    first, second = (table.set_index("seed") for table in tables)
+    seeds = [seed for seed in first.index if seed in second.index]
+    if len(seeds) < 2:
+        raise InputError(f"{names[0]} and {names[1]} share {len(seeds)} seeds: run both with the same seeds, 2 or more")
+    found = (_difference(key, first.loc[seeds, key].to_numpy(), second.loc[seeds, key].to_numpy()) for key in keys)
+    return Comparison(names, tuple(int(seed) for seed in seeds), warmup_s, tuple(d for d in found if d.change.runs > 1))
+
+
+def in_words(comparison: Comparison) -> list[str]:
+    """What the comparison says, one sentence a measure, then whether the seeds were enough.
+
+    Args:
+        comparison: see :func:`compare`.
+
+    Returns:
+        Sentences.
+    """
+    lines = [_sentence(difference, comparison) for difference in comparison.differences]
+    return [*lines, _verdict(comparison)]
+
+
+def draw_comparison(comparison: Comparison) -> Figure:
+    """The differences as shares of A's mean, with their intervals and each seed's own.
+
+    Args:
+        comparison: see :func:`compare`.
+
+    Returns:
+        A figure; call it within ``analysis.figures.style()``.
+    """
+    from analysis.figures import BLUE, GREY, ORANGE, new_figure
+
+    shown = [d for d in comparison.differences if d.a.mean]
+    figure, (axes,) = new_figure(0.9 + 0.42 * max(1, len(shown)))
+    for row, d in enumerate(shown):
+        scale = 100 / abs(d.a.mean)
+        pairs = np.array(d.pairs) * scale
+        axes.plot(pairs, np.full(len(pairs), row + 0.18), "|", color=GREY, markersize=6, alpha=0.7)
+        color = (BLUE if (d.change.mean < 0) == MEASURES[d.key].lower_is_better else ORANGE) if d.is_clear else GREY
+        axes.plot([d.change.low * scale, d.change.high * scale], [row, row], color=color, linewidth=3)
+        axes.plot(d.change.mean * scale, row, "o", color=color)
+    axes.axvline(0, color=GREY, linewidth=1)
+    axes.set_yticks(range(len(shown)), [MEASURES[d.key].words for d in shown])
+    axes.set_ylim(len(shown) - 0.5, -0.5)
+    axes.set_xlabel(f"{comparison.names[1]} minus {comparison.names[0]}, % of the mean of {comparison.names[0]}")
+    return figure
+
+
+def _difference(key: str, a: Values, b: Values) -> Difference:
+    pairs = b - a
+    change = interval(pairs.tolist())
+    needed = _seeds_needed(pairs[~np.isnan(pairs)], PRECISION * abs(float(np.nanmean(a))) if change.runs else math.nan)
+    return Difference(
+        key, interval(a.tolist()), interval(b.tolist()), change, tuple(float(pair) for pair in pairs), needed
+    )
+
+
+def _seeds_needed(pairs: Values, half: float) -> int:
+    """Seeds after which half of the interval is about as long as asked, by the spread seen so far; 0: not known."""
+    if len(pairs) < 2 or not half > 0:
+        return 0
+    spread, seeds = float(pairs.std(ddof=1)), 2
+    while seeds < 100_000 and t_quantile(0.975, seeds - 1) * spread / math.sqrt(seeds) > half:
+        seeds = max(seeds + 1, math.floor(seeds * 1.02))
+    return seeds
+
+
+def _sentence(d: Difference, comparison: Comparison) -> str:
+    measure, (first, second) = MEASURES[d.key], comparison.names
+    means = f"{_number(d.a.mean)} with {first}, {_number(d.b.mean)} {measure.unit} with {second}"
+    span = f"{_number(d.change.mean)} (95 %: {_number(d.change.low)} to {_number(d.change.high)}) {measure.unit}"
+    if not d.is_clear:
+        return f"{measure.words}: {means}; no clear difference, {span}."
+    better = "better" if (d.change.mean < 0) == measure.lower_is_better else "worse"
+    return f"{measure.words}: {means}; {second} is {better}, by {span}."
+
+
+def _verdict(comparison: Comparison) -> str:
+    seeds = len(comparison.seeds)
+    vague = [d for d in comparison.differences if not d.is_clear and not d.is_precise and d.a.mean]
+    if not vague:
+        known = f"known to {PRECISION:.0%} of {comparison.names[0]}'s mean"
+        return f"{seeds} seeds are enough: every difference is clear, or {known}."
+    needed = max(d.needed for d in vague)
+    names = ", ".join(MEASURES[d.key].words for d in vague)
+    return (
+        f"{seeds} seeds are not enough for: {names}. About {needed} seeds would show differences of {PRECISION:.0%} of"
+        f" {comparison.names[0]}'s mean."
+    )
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}"
+
+
+def _same(cell: object, wanted: str) -> bool:
+    try:
+        return float(str(cell)) == float(wanted)
+    except ValueError:
+        return str(cell) == wanted
+
+
+def _plain(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def table_rows(comparison: Comparison) -> list[Mapping[str, str]]:
+    """The comparison as rows of text for a table.
+
+    Args:
+        comparison: see :func:`compare`.
+
+    Returns:
+        For each measure: ``measure``, ``unit``, the two names, ``difference``, ``95 % interval``, ``seeds needed``.
+    """
+    return [
+        {
+            "measure": MEASURES[d.key].words,
+            "unit": MEASURES[d.key].unit,
+            comparison.names[0]: _number(d.a.mean),
+            comparison.names[1]: _number(d.b.mean),
+            "difference": _number(d.change.mean),
+            "95 % interval": f"{_number(d.change.low)} .. {_number(d.change.high)}",
+            "seeds needed": str(d.needed or "-"),
+        }
+        for d in comparison.differences
+    ]

@@ -1,0 +1,226 @@
+"""Many runs as three tidy tables: one row per run, per task, per event.
+
+The tables are DuckDB relations: nothing but the small files of each run is read before a table is looked at, and a
+filter or an aggregate reads only the columns it needs, over thousands of runs::
+
+    found = load_runs(Path("runs/sweep"))
+    found.runs.df()                                          # pandas
+    found.sql("SELECT agvs, avg(delivered_s - requested_s) FROM tasks JOIN runs USING (run) GROUP BY agvs").df()
+"""
+
+from __future__ import annotations
+
+import json
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel
+
+from analysis.metrics import METRICS, run_metrics
+from analysis.tables import load_run
+from parking_sim.record import COLUMNS
+
+if TYPE_CHECKING:
+    import duckdb
+    import pandas as pd
+
+#: Columns of the table ``runs`` that are neither keys of the scenario nor metrics -> (unit, meaning).
+_RUN_COLUMNS: Mapping[str, tuple[str, str]] = {
+    "run": ("", "the run: its folder, from the folder that was loaded; the same in all tables"),
+    "status": ("", "how it ended: finished, time_limit, stalled or interrupted"),
+}
+
+
+@dataclass(frozen=True)
+class Runs:
+    """The records of many runs.
+
+    Attributes:
+        folders: each run's name in the tables -> the folder with its record.
+        varied: keys of the scenario in which these runs were meant to differ, besides the seed; of a sweep.
+        failures: the runs of a sweep that failed: ``run``, ``seed``, ``varied`` and ``error`` of each.
+    """
+
+    folders: Mapping[str, Path]
+    varied: tuple[str, ...] = ()
+    failures: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def runs(self) -> duckdb.DuckDBPyRelation:
+        """One row per run: the scenario's keys, joined by dots, and the metrics. See :func:`run_columns`."""
+        return self.table("runs")
+
+    @property
+    def tasks(self) -> duckdb.DuckDBPyRelation:
+        """One row per request: ``run``, and the columns of ``parking_sim.record.COLUMNS["tasks"]``."""
+        return self.table("tasks")
+
+    @property
+    def events(self) -> duckdb.DuckDBPyRelation:
+        """One row per event: ``run``, and the columns of ``parking_sim.record.COLUMNS["events"]``."""
+        return self.table("events")
+
+    def table(self, name: str) -> duckdb.DuckDBPyRelation:
+        """A table over all runs.
+
+        Args:
+            name: ``runs``, or a table of ``parking_sim.record.COLUMNS``.
+
+        Returns:
+            The relation, rows in the order of the runs and of each record; ``.df()`` makes it a pandas table.
+        """
+        return self._database.table("runs") if name == "runs" else self._database.view(name)
+
+    def sql(self, query: str) -> duckdb.DuckDBPyRelation:
+        """Ask in SQL; the tables have their names.
+
+        Args:
+            query: a SELECT.
+
+        Returns:
+            The answer as a relation.
+        """
+        return self._database.sql(query)
+
+    @cached_property
+    def _database(self) -> duckdb.DuckDBPyConnection:
+        import duckdb
+
+        database = duckdb.connect()
+        frame = _runs_frame(self.folders)
+        database.register("frame", frame)
+        database.execute("CREATE TABLE runs AS SELECT * FROM frame")
+        database.unregister("frame")
+        for table in COLUMNS:
+            files = {folder / f"{table}.parquet": run for run, folder in self.folders.items()}
+            recorded = {str(path): run for path, run in files.items() if path.is_file()}
+            if recorded:
+                database.execute(f"CREATE VIEW {table} AS {_over(recorded)}")
+        return database
+
+
+def load_runs(folder: Path) -> Runs:
+    """Open all runs in a folder.
+
+    Args:
+        folder: folder of a sweep, of which the runs that belong to it and are done are taken; or any folder, of which
+            all runs below it are.
+
+    Returns:
+        The runs; their tables are read when they are used.
+
+    Raises:
+        FileNotFoundError: if there is no run.
+    """
+    plan = folder / "sweep.json"
+    if not plan.is_file():
+        folders = {path.parent.relative_to(folder).as_posix(): path.parent for path in sorted(folder.rglob("run.json"))}
+        return Runs(_some(folders, folder))
+    rows = json.loads(plan.read_text(encoding="utf-8"))["runs"]
+    folders = {row["run"]: folder / "runs" / row["run"] for row in rows}
+    done = {run: path for run, path in folders.items() if (path / "metrics.json").is_file()}
+    varied = tuple(dict.fromkeys(key for row in rows for key in row["varied"]))
+    return Runs(_some(done, folder), varied, _failures(folder / "failures.json"))
+
+
+def run_columns() -> dict[str, tuple[str, str]]:
+    """What the columns of the table ``runs`` mean.
+
+    Returns:
+        Column -> (unit, meaning): the run's own, then the scenario's keys, then the metrics. Lists in a scenario are
+        JSON text. A table has the columns of the scenario that its runs have.
+    """
+    from parking_sim.config import Scenario
+
+    scenario = {name: ("", meaning) for name, meaning in _described(Scenario, "")}
+    return {**_RUN_COLUMNS, **scenario, **METRICS}
+
+
+def flatten(keys: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A scenario's keys joined by dots; lists become JSON text.
+
+    Args:
+        keys: keys and values, nested.
+        prefix: what the names begin with.
+
+    Returns:
+        Plain values.
+    """
+    flat: dict[str, Any] = {}
+    for key, value in keys.items():
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{prefix}{key}.")
+        else:
+            flat[prefix + key] = json.dumps(value) if isinstance(value, list) else value
+    return flat
+
+
+def _some(folders: Mapping[str, Path], folder: Path) -> Mapping[str, Path]:
+    if not folders:
+        raise FileNotFoundError(f"no run in {folder}")
+    return folders
+
+
+def _failures(path: Path) -> tuple[Mapping[str, Any], ...]:
+    return tuple(json.loads(path.read_text(encoding="utf-8"))["failures"]) if path.is_file() else ()
+
+
+def _runs_frame(folders: Mapping[str, Path]) -> pd.DataFrame:
+    import pandas as pd
+
+    rows = [_run_row(run, folder) for run, folder in folders.items()]
+    frame = pd.DataFrame(rows)
+    order = list(run_columns())
+    scenario = [column for column in frame if column not in _RUN_COLUMNS and column not in METRICS]
+    scenario.sort(key=lambda column: order.index(column) if column in order else len(order))
+    frame = frame[[*_RUN_COLUMNS, *scenario, *METRICS]]
+    for column in scenario:
+        kinds = {type(value) for value in frame[column] if value is not None and value == value}
+        if len(kinds) > 1 and not kinds <= {int, float}:
+            frame[column] = [None if value is None else str(value) for value in frame[column]]
+    return frame.astype(dict.fromkeys(METRICS, float))
+
+
+def _run_row(run: str, folder: Path) -> dict[str, Any]:
+    loaded = load_run(folder)
+    file = folder / "metrics.json"
+    metrics = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else run_metrics(loaded)
+    scenario = flatten(loaded.meta.get("scenario") or {})
+    return {"run": run, "status": loaded.meta.get("status"), **scenario, **{key: metrics.get(key) for key in METRICS}}
+
+
+def _over(files: Mapping[str, str]) -> str:
+    """The query for one table over all files, whose names stand for their runs."""
+    listed = ", ".join(_quoted(file) for file in files)
+    named = ", ".join(f"({_quoted(file)}, {_quoted(run)})" for file, run in files.items())
+    return (
+        f"SELECT names.run, rows.* EXCLUDE (filename) FROM read_parquet([{listed}], filename = true) AS rows"
+        f" JOIN (VALUES {named}) AS names(file, run) ON rows.filename = names.file"
+    )
+
+
+def _quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"
+
+
+def _described(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, str]]:
+    """The keys of a model of options and of the models in it, with their descriptions."""
+    for name, field in model.model_fields.items():
+        nested = _models(field.annotation)
+        if not nested:
+            yield prefix + name, field.description or "which of the kinds it is"
+        for inner in nested:
+            yield from _described(inner, f"{prefix}{name}.")
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    """The models of options that a field may hold; none for lists of them."""
+    if isinstance(annotation, type):
+        return [annotation] if issubclass(annotation, BaseModel) else []
+    if typing.get_origin(annotation) in (tuple, list):
+        return []
+    return [model for argument in typing.get_args(annotation) for model in _models(argument)]

@@ -1,0 +1,249 @@
+"""One offline page for a sweep: what was asked, what came out, in words, a table and curves, and how to repeat it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from analysis.figures import Drawing, style, svg
+from analysis.measures import MEASURES, Interval, interval, measure_runs
+from analysis.report import environment, number, write_page
+from analysis.runs import Runs, load_runs
+from analysis.tables import load_run
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+#: Measures of the table and the figures.
+SHOWN = (
+    "retrieval_wait_p50_s", "retrieval_wait_p95_s", "park_queue_mean_s", "park_total_mean_s", "tasks_per_hour",
+    "queue_mean", "deadlocks_per_hour",
+)  # fmt: skip
+_DRAWN = ("retrieval_wait_p95_s", "tasks_per_hour", "deadlocks_per_hour")
+_CHECKS = {
+    "No collision in SUMO": "sumo_collisions",
+    "No overlap seen by the independent check": "footprint_overlaps",
+    "Every deadlock was resolved": "deadlocks_unresolved",
+}
+_MOST_LINES = 6
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The runs that differ in nothing but the seed.
+
+    Attributes:
+        values: the keys that vary in the sweep -> their values here.
+        runs: number of runs.
+        means: key of ``MEASURES`` -> mean over the runs with its interval.
+    """
+
+    values: Mapping[str, Any]
+    runs: int
+    means: Mapping[str, Interval]
+
+
+def write_sweep_report(folder: Path) -> Path:
+    """Write ``report.html`` into the folder of a sweep.
+
+    Args:
+        folder: folder of a sweep with one finished run at least.
+
+    Returns:
+        Path of the report.
+
+    Raises:
+        FileNotFoundError: no run has finished.
+        OSError: the folder can't be written.
+    """
+    runs = load_runs(folder)
+    frame = runs.runs.df()
+    variants = sweep_variants(runs)
+    meta = load_run(next(iter(runs.folders.values()))).meta
+    plan = folder / "sweep.json"
+    page = environment().get_template("sweep.html").render(
+        title=f"Sweep {folder.resolve().name}",
+        asked=_asked(runs, frame),
+        headlines=_headlines(runs, variants, frame),
+        heads=[*runs.varied, "runs", *(f"{MEASURES[key].words} ({MEASURES[key].unit})" for key in SHOWN)],
+        rows=[_row(variant) for variant in variants],
+        drawings=_drawings(variants, runs.varied),
+        checks=_checks(frame),
+        failures=[{**failure, "varied": _words(failure["varied"])} for failure in runs.failures],
+        code=json.loads(plan.read_text(encoding="utf-8"))["code"] if plan.is_file() else "",
+        versions=sorted((meta.get("versions") or {}).items()),
+        links=[(run, (path / "run.json").relative_to(folder).as_posix()) for run, path in runs.folders.items()],
+        runs=frame[["run", *runs.varied, "seed", "status"]].astype(str).to_numpy().tolist(),
+    )  # fmt: skip
+    return write_page(folder / "report.html", page)
+
+
+def sweep_variants(runs: Runs, warmup_s: float = 0.0) -> list[Variant]:
+    """The measures of a sweep by variant.
+
+    Args:
+        runs: the runs of a sweep.
+        warmup_s: simulated seconds at the start that don't count.
+
+    Returns:
+        One for each variant with a finished run, in the order of the sweep.
+    """
+    import pandas as pd
+
+    measured = measure_runs(runs, warmup_s).drop(columns="seed").set_index("run")
+    values = runs.runs.df().set_index("run").reindex(columns=list(runs.varied))
+    groups: dict[str, list[str]] = {}
+    for run, row in values.iterrows():
+        groups.setdefault(json.dumps([_cell(value) for value in row]), []).append(str(run))
+    return [
+        Variant(
+            dict(zip(runs.varied, json.loads(key), strict=True)),
+            len(names),
+            {key_: interval(pd.Series(measured.loc[names, key_]).tolist()) for key_ in MEASURES},
+        )
+        for key, names in groups.items()
+    ]
+
+
+def _cell(value: Any) -> Any:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return None
+    plain = value.item() if hasattr(value, "item") else value
+    return int(plain) if isinstance(plain, float) and plain.is_integer() else plain
+
+
+def _words(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key} {value}" for key, value in values.items()) or "the base scenario"
+
+
+def _asked(runs: Runs, frame: pd.DataFrame) -> list[tuple[str, str]]:
+    """What varies, the seeds, and what is the same in all runs."""
+    rows = [(key, ", ".join(dict.fromkeys(str(_cell(v)) for v in frame[key]))) for key in runs.varied if key in frame]
+    seeds = sorted(int(seed) for seed in frame["seed"].unique())
+    whole = len(seeds) > 1 and seeds[-1] - seeds[0] == len(seeds) - 1
+    rows.append(("seeds", f"{seeds[0]}..{seeds[-1]}" if whole else ", ".join(map(str, seeds))))
+    for key in ("garage", "agvs", "planner", "plant", "dispatch", "duration_s"):
+        if key in frame and key not in runs.varied and frame[key].notna().any():
+            rows.append((key, ", ".join(dict.fromkeys(str(_cell(value)) for value in frame[key]))))
+    columns = [str(c) for c in frame if str(c).startswith("workload.") and c not in runs.varied]
+    workload = [c for c in columns if frame[c].nunique() == 1]
+    rows.append(("workload", ", ".join(f"{c.partition('.')[2]} {_cell(frame[c].dropna().iloc[0])}" for c in workload)))
+    return rows
+
+
+def _headlines(runs: Runs, variants: Sequence[Variant], frame: pd.DataFrame) -> list[str]:
+    lines = [f"{len(frame)} runs of {len(variants)} variants have finished; {len(runs.failures)} failed."]
+    waits = {i: v.means["retrieval_wait_p95_s"] for i, v in enumerate(variants)}
+    known = {i: w for i, w in waits.items() if w.runs}
+    if known and len(variants) > 1:
+        best = min(known, key=lambda i: known[i].mean)
+        tied = sum(w.low <= known[best].high for w in known.values()) - 1
+        also = f"; the intervals of {tied} others reach into its own" if tied else ""
+        lines.append(
+            f"Customers waited least with {_words(variants[best].values)}: 19 of 20 had their car within"
+            f" {_interval_words(known[best])} s of asking, mean over runs{also}."
+        )
+    if variants and max(variant.runs for variant in variants) < 2:
+        lines.append("With one seed a variant there are no intervals: give more seeds.")
+    return lines
+
+
+def _interval_words(value: Interval) -> str:
+    if value.runs < 2:
+        return number(value.mean)
+    return f"{number(value.mean)} ± {number(value.half)}"
+
+
+def _row(variant: Variant) -> list[str]:
+    means = [_interval_words(variant.means[key]) if variant.means[key].runs else "–" for key in SHOWN]
+    return [*("–" if value is None else str(value) for value in variant.values.values()), str(variant.runs), *means]
+
+
+def _checks(frame: pd.DataFrame) -> list[tuple[str, bool, str]]:
+    """What must hold in every run: what, whether it does, and in how many it doesn't."""
+    rows = []
+    for text, key in _CHECKS.items():
+        wrong = int((frame[key].fillna(0) > 0).sum())
+        rows.append((text, wrong == 0, f"{wrong} of {len(frame)} runs" if wrong else f"in all {len(frame)} runs"))
+    for text, key in (("Every request is accounted for", "requests_conserved"), ("Every car", "cars_conserved")):
+        wrong = int((frame[key] == 0).sum())
+        full = text if text.endswith("for") else f"{text} is accounted for"
+        rows.append((full, wrong == 0, f"not in {wrong} runs" if wrong else f"in all {len(frame)} runs"))
+    return rows
+
+
+def _drawings(variants: Sequence[Variant], varied: Sequence[str]) -> list[Drawing]:
+    """A figure for each measure: against the number that varies most, one line for each combination of the rest."""
+    if not varied or len(variants) < 2:
+        return []
+    drawings = []
+    with style():
+        for key in _DRAWN:
+            if any(variant.means[key].runs and variant.means[key].mean for variant in variants):
+                title = MEASURES[key].words.capitalize()
+                drawings.append(Drawing(key, title, _CAPTION, _draw(variants, varied, key, title)))
+    return drawings
+
+
+_CAPTION = "Mean over the seeds; bars: 95 % interval of the mean."
+
+
+def _draw(variants: Sequence[Variant], varied: Sequence[str], key: str, title: str) -> str:
+    from analysis.figures import new_figure
+
+    across = _numeric(variants, varied)
+    figure, (axes,) = new_figure(2.9 if across else 0.9 + 0.24 * len(variants))
+    if across:
+        _curves(axes, variants, across, key)
+    else:
+        _dots(axes, variants, key)
+    return svg(figure, key, title)
+
+
+def _numeric(variants: Sequence[Variant], varied: Sequence[str]) -> str:
+    """The key with the most numbers as values; "" if there is none with several."""
+    counts = {
+        key: len({v.values[key] for v in variants})
+        for key in varied
+        if all(isinstance(v.values[key], int | float) and not isinstance(v.values[key], bool) for v in variants)
+    }
+    best = max(counts, key=lambda key: counts[key], default="")
+    return best if best and counts[best] > 1 else ""
+
+
+def _curves(axes: Axes, variants: Sequence[Variant], across: str, key: str) -> None:
+    from analysis.figures import BLUE, GREEN, ORANGE, PINK, RED, SKY
+
+    lines: dict[str, list[Variant]] = {}
+    for variant in variants:
+        rest = {name: value for name, value in variant.values.items() if name != across}
+        lines.setdefault(_words(rest) if rest else "", []).append(variant)
+    colors = (BLUE, ORANGE, GREEN, RED, PINK, SKY)
+    for (name, members), color in zip(list(lines.items())[:_MOST_LINES], colors, strict=False):
+        members = sorted((m for m in members if m.means[key].runs), key=lambda m: m.values[across])
+        means = [m.means[key] for m in members]
+        bars = [m.half if math.isfinite(m.half) else 0.0 for m in means]
+        at = [m.values[across] for m in members]
+        axes.errorbar(at, [m.mean for m in means], bars, color=color, marker="o", markersize=4, capsize=2, label=name)
+    axes.set_xlabel(across)
+    axes.set_ylabel(MEASURES[key].unit)
+    axes.set_ylim(bottom=0)
+    if len(lines) > 1:
+        axes.legend(fontsize=8)
+
+
+def _dots(axes: Axes, variants: Sequence[Variant], key: str) -> None:
+    from analysis.figures import BLUE
+
+    for row, variant in enumerate(variants):
+        mean = variant.means[key]
+        half = mean.half if math.isfinite(mean.half) else 0.0
+        axes.errorbar(mean.mean, row, xerr=half, color=BLUE, marker="o", capsize=2)
+    axes.set_yticks(range(len(variants)), [_words(variant.values) for variant in variants], fontsize=8)
+    axes.set_ylim(len(variants) - 0.5, -0.5)
+    axes.set_xlabel(MEASURES[key].unit)

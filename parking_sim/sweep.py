@@ -1,0 +1,242 @@
+"""Many runs, into one folder, by any executor: skipped if done, tried again if they fail, with the time that is left.
+
+The folder of a sweep holds ``sweep.json`` (which runs belong to it), ``failures.json`` (which failed, and why) and
+``runs/KEY/`` with the record of each run, whose key is a hash of its scenario, input files and code. A record appears
+whole or not at all, so that a sweep can be stopped or killed at any moment and started again.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import shutil
+import socket
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+from parking_sim.config import Scenario
+from parking_sim.errors import InputError
+from parking_sim.sweep_plan import RunSpec, code_version
+
+SWEEP_FILE, FAILURES_FILE, RUNS_FOLDER = "sweep.json", "failures.json", "runs"
+
+#: Written last of all into the folder of a run.
+_LAST_FILE = "metrics.json"
+_PART = ".part-"
+_TELL_S = 0.5
+_one_at_a_time = threading.Lock()
+
+
+class RunFailedError(RuntimeError):
+    """A run that ended without a record, with the reason in one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class SweepProgress:
+    """How far a sweep is.
+
+    Attributes:
+        total, done, failed: runs in all, with a record, given up.
+        left_s: estimate of the wall-clock seconds to go, None before the first run has ended.
+    """
+
+    total: int
+    done: int
+    failed: int
+    left_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A run that was given up, and why."""
+
+    spec: RunSpec
+    error: str
+
+
+Tell = Callable[[SweepProgress], None]
+
+
+def sweep(specs: Sequence[RunSpec], folder: Path, executor: Executor, tell: Tell | None = None) -> list[Failure]:
+    """Do the runs that a folder does not have yet.
+
+    Args:
+        specs: the runs.
+        folder: folder of the sweep, made if need be; on a cluster, all workers see it under the same path.
+        executor: what does them, see ``parking_sim.executors``.
+        tell: called with the progress about twice a second.
+
+    Returns:
+        The runs that failed twice.
+
+    Raises:
+        InputError: the folder can't be used.
+    """
+    open_folder(folder)
+    write_plan(specs, folder)
+    failures = run_missing(specs, folder, executor, tell)
+    _write_failures(failures, folder)
+    return failures
+
+
+def open_folder(folder: Path) -> None:
+    """Make the folder of a sweep, and remove what runs that were killed have left there.
+
+    Args:
+        folder: absent, empty, or that of a sweep.
+
+    Raises:
+        InputError: it holds something else or can't be written.
+    """
+    try:
+        if folder.is_dir() and any(folder.iterdir()) and not (folder / SWEEP_FILE).is_file():
+            raise InputError(f"--out: {folder}: holds files that are not a sweep's; give another folder")
+        (folder / RUNS_FOLDER).mkdir(parents=True, exist_ok=True)
+        for path in (folder / RUNS_FOLDER).glob(f"*{_PART}*"):
+            shutil.rmtree(path, ignore_errors=True)
+    except OSError as error:
+        raise InputError(f"--out: {folder}: can't be written: {error.strerror}") from None
+
+
+def write_plan(specs: Sequence[RunSpec], folder: Path) -> None:
+    """Write down which runs belong to a sweep.
+
+    Args:
+        specs: the runs.
+        folder: folder of the sweep.
+    """
+    from parking_sim.record import write_json
+
+    runs = [{"run": spec.key, "seed": spec.scenario.seed, "varied": dict(spec.varied)} for spec in specs]
+    write_json(folder / SWEEP_FILE, {"code": code_version(), "runs": runs})
+
+
+def run_missing(specs: Sequence[RunSpec], folder: Path, executor: Executor, tell: Tell | None = None) -> list[Failure]:
+    """Do those runs that have no record; one that fails is tried once more, on a fresh worker.
+
+    Args:
+        specs: the runs.
+        folder: folder of the sweep, see :func:`open_folder`.
+        executor: what does them.
+        tell: called with the progress about twice a second.
+
+    Returns:
+        The runs that failed twice.
+    """
+    missing = [spec for spec in specs if not is_done(spec, folder)]
+    ended: queue.SimpleQueue[Future[None]] = queue.SimpleQueue()
+    running: dict[Future[None], tuple[RunSpec, int]] = {}
+
+    def start(spec: RunSpec, attempt: int) -> None:
+        future = executor.submit(do_run, spec.scenario, run_folder(spec, folder))
+        running[future] = (spec, attempt)
+        future.add_done_callback(ended.put)
+
+    def tell_progress() -> None:
+        if tell is not None:
+            now_done = len(missing) - len(running) - len(failures)
+            spent = perf_counter() - begin
+            left = spent / (len(missing) - len(running)) * len(running) if len(running) < len(missing) else None
+            tell(SweepProgress(len(specs), len(specs) - len(missing) + now_done, len(failures), left))
+
+    failures: list[Failure] = []
+    begin = perf_counter()
+    for spec in missing:
+        start(spec, 1)
+    try:
+        while running:
+            tell_progress()
+            try:
+                future = ended.get(timeout=_TELL_S)
+            except queue.Empty:
+                continue
+            spec, attempt = running.pop(future)
+            error = _error_of(future)
+            if error is not None and attempt == 1 and not isinstance(error, InputError):
+                start(spec, 2)
+            elif error is not None and not is_done(spec, folder):
+                failures.append(Failure(spec, _one_line(error)))
+                _write_failures(failures, folder)
+    finally:
+        for future in running:
+            future.cancel()
+    tell_progress()
+    return failures
+
+
+def run_folder(spec: RunSpec, folder: Path) -> Path:
+    """Where the record of a run is kept within the folder of a sweep."""
+    return folder.resolve() / RUNS_FOLDER / spec.key
+
+
+def is_done(spec: RunSpec, folder: Path) -> bool:
+    """Whether a run has its record."""
+    return (run_folder(spec, folder) / _LAST_FILE).is_file()
+
+
+def do_run(scenario: Scenario, out: Path) -> None:
+    """Do one run: the task function of every executor.
+
+    Args:
+        scenario: what to run.
+        out: folder of its record, which appears whole or not at all.
+
+    Raises:
+        InputError, NetError: the scenario does not fit its garage.
+        RunFailedError: anything else went wrong.
+    """
+    from parking_sim.simulation import simulate
+    from sumo_nets.read import NetError
+
+    part = out.with_name(f"{out.name}{_PART}{socket.gethostname()}-{os.getpid()}")
+    try:
+        with _one_at_a_time:
+            status = simulate(scenario, part).status
+        if status == "interrupted":
+            raise RunFailedError("interrupted")
+        if not out.exists():
+            part.replace(out)
+    except (InputError, NetError) as error:
+        raise InputError(str(error)) from None
+    except RunFailedError:
+        raise
+    except Exception as error:
+        raise RunFailedError(f"{type(error).__name__}: {error} ({_place(error)})") from None
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _error_of(future: Future[None]) -> BaseException | None:
+    try:
+        return future.exception()
+    except CancelledError as error:
+        return error
+
+
+def _one_line(error: BaseException) -> str:
+    if isinstance(error, BrokenExecutor):
+        return "the worker was killed or crashed"
+    text = str(error) if isinstance(error, InputError | RunFailedError) else f"{type(error).__name__}: {error}"
+    return " ".join(text.split())
+
+
+def _place(error: BaseException) -> str:
+    """Where an exception was raised: file and line."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}" if trace is not None else "?"
+
+
+def _write_failures(failures: Sequence[Failure], folder: Path) -> None:
+    from parking_sim.record import write_json
+
+    rows = [
+        {"run": f.spec.key, "seed": f.spec.scenario.seed, "varied": dict(f.spec.varied), "error": f.error}
+        for f in failures
+    ]
+    write_json(folder / FAILURES_FILE, {"failures": rows})
