@@ -23,6 +23,7 @@ import tempfile
 from collections.abc import Sequence
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -116,6 +117,7 @@ class SumoPlant:
         self.agv_type = agv_type
         self.motion = sumo_motion(garage.graph, agv_type, step_s)
         self.collisions = 0
+        self.sumo_s = 0.0
         self._step = 0
         self._meeting: frozenset[tuple[str, str]] = frozenset()
         self._reach_m = max(agv_type.empty_mps, agv_type.loaded_mps) * step_s + NEAR_END_M
@@ -200,7 +202,9 @@ class SumoPlant:
             for i in sorted(self._waiting):
                 self._extend(i)
             self._customers.before_step()
+            start = perf_counter()
             self._api.simulationStep()
+            self.sumo_s += perf_counter() - start
             self._step += 1
             self._read()
             if self._actions and self._due <= self._step:
