@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from controller.types import Act, Action, Advance, AgvState, Command, Motion, Path
-from controller.visits import Refusal, visiting_order
+from controller.visits import Refusal, malformed, visiting_order
 from sumo_nets.graph import Graph
 
 
@@ -103,6 +103,9 @@ class Executor:
             None when the plan is taken, otherwise why it is refused; then the orders are as before.
         """
         for agv, path in paths.items():
+            wrong = malformed(agv, path) if 0 <= agv < len(self.agvs) else f"there is no AGV {agv}"
+            if wrong:
+                return Refusal("form", (agv,), -1, wrong)
             if path.vertices[0] != self.agvs[agv].last:
                 return Refusal("start", (agv,), path.vertices[0], "the path does not start where the authority ends")
         holding = {agv: a.last for agv, a in enumerate(self.agvs) if agv not in paths}

@@ -26,7 +26,7 @@ class Refusal:
     """Why a plan is not carried out.
 
     Attributes:
-        kind: "start", "edge", "conflict" or "cycle".
+        kind: "form", "start", "edge", "conflict" or "cycle".
         agents: the AGVs concerned.
         vertex: where.
         reason: in words.
@@ -36,6 +36,18 @@ class Refusal:
     agents: tuple[int, ...]
     vertex: int
     reason: str
+
+
+def malformed(agv: int, path: Path) -> str:
+    """What is wrong with a path by itself, whatever the graph; "" if nothing."""
+    arrive, depart = path.arrive, path.depart
+    if path.agv != agv:
+        return f"AGV {agv} is given the path of AGV {path.agv}"
+    if not path.vertices or len(arrive) != len(path.vertices) or len(depart) != len(arrive) - 1:
+        return f"AGV {agv}: {len(path.vertices)} vertices, {len(arrive)} arrivals and {len(depart)} departures don't fit"
+    if arrive[0] < 0 or any(not arrive[i] <= t < arrive[i + 1] for i, t in enumerate(depart)):
+        return f"AGV {agv}: its times do not run forwards"
+    return ""
 
 
 def visiting_order(

@@ -1,0 +1,269 @@
+"""The executor: whatever a plan says and however late everybody is, no two AGVs meet, and all of them arrive."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import replace
+
+import pytest
+from brute_force import bodies, classic, problems, simulate
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from late_plant import Drive, delays, walks
+
+from controller.executor import Executor
+from controller.planners.cbs import CbsLimits, cbs
+from controller.planners.token import make_token
+from controller.planners.whca import make_whca
+from controller.types import FOREVER, Action, AgvState, Path, PlanningProblem
+from controller.visits import Refusal, retime
+from sumo_nets.graph import Graph, make_graph
+
+PLANNERS = {
+    "whca": lambda problem: make_whca(problem.graph, problem.motion)(problem),
+    "token": lambda problem: make_token(problem.graph, problem.motion)(problem),
+    "cbs": lambda problem: cbs(problem, CbsLimits(expansions=100)),
+}
+
+
+def lanes(places: dict[str, tuple[float, float]], ways: str) -> Graph:
+    """A graph of named places; ``ab`` is a lane from a to b, ``a-b`` one for both directions."""
+    links = [(way[0], way[-1]) for way in ways.split()]
+    links += [(way[-1], way[0]) for way in ways.split() if "-" in way]
+    vertices = [(name, 5.0 * x, 5.0 * y) for name, (x, y) in places.items()]
+    return make_graph("drawn", vertices, [(f"{u}>{v}", u, v, 5.0) for u, v in links])
+
+
+RING = lanes({"a": (0, 0), "b": (1, 0), "c": (1, 1), "d": (0, 1)}, "ab bc cd da")
+LINE = lanes({"a": (0, 0), "b": (1, 0), "c": (2, 0), "d": (3, 0)}, "a-b b-c c-d")
+CROSS = lanes({"n": (1, 2), "w": (0, 1), "x": (1, 1), "e": (2, 1), "s": (1, 0)}, "n-x w-x e-x s-x")
+
+
+def way(graph: Graph, agv: int, names: str, start: int = 0) -> Path:
+    """A path over named places, a step a move, setting off at step ``start``."""
+    steps = range(start, start + len(names) - 1)
+    vertices = tuple(graph.index[name] for name in names)
+    return Path(agv, vertices, (0, *(t + 1 for t in steps)), tuple(steps))
+
+
+def orders(executor: Executor) -> tuple[object, ...]:
+    return deepcopy((executor.order, [a.pending for a in executor.agvs], executor.owner))
+
+
+# --- any delay only delays ------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=250, deadline=None)
+@given(walks(), delays)
+def test_a_plan_is_refused_when_agvs_meet_in_it_and_is_carried_out_otherwise_however_late(plan, late):
+    """Whether they meet is looked for step by step; what is accepted is driven to its end under any delays."""
+    drive = Drive.of(plan.graph, plan.motion, plan.starts)
+    end = max(path.arrive[-1] for path in plan.paths.values()) + 2
+    meetings = simulate(list(plan.paths.values()), plan.motion, end)
+    refusal = drive.executor.accept(plan.paths)
+    assert bool(refusal) == bool(meetings)
+    if refusal:
+        assert any(set(refusal.agents) <= members for _, members in meetings)
+    else:
+        drive.run(late)
+        assert drive.ends == [path.vertices[-1] for path in plan.paths.values()]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(sorted(PLANNERS)), problems(largest=9, agents=4, window=FOREVER), delays)
+def test_plans_of_all_planners_are_carried_out_however_late(name, problem, late):
+    result = PLANNERS[name](problem)
+    assume(result.paths)
+    drive = start(problem)
+    assert drive.executor.accept(result.paths) is None
+    drive.run(late)
+    ends = {agent.agv: agent.vertex for agent in problem.agents}
+    ends |= {agv: path.vertices[-1] for agv, path in result.paths.items()}
+    assert drive.ends == [ends[agv] for agv in range(len(ends))]
+
+
+@settings(max_examples=40, deadline=None)
+@given(problems(largest=9, agents=4), delays, st.integers(1, 8))
+def test_plans_replaced_halfway_are_as_safe(problem, late, every):
+    """A new plan every few steps, from where authority ends: the plant checks that nobody meets."""
+    planner = make_whca(problem.graph, problem.motion)
+    drive = start(problem)
+    for first in range(0, 40, every):
+        agents = tuple(
+            replace(agent, vertex=a.last, in_edge=a.in_edge, ready_step=drive.executor.ready_step(agent.agv, first))
+            for agent, a in zip(problem.agents, drive.executor.agvs, strict=True)
+        )
+        assert drive.executor.accept(planner(replace(problem, agents=agents)).paths) is None
+        for digits in late[first : first + every]:
+            drive.once(() if problem.motion.following else [i for i in range(4) if digits >> i & 1])
+
+
+def start(problem: PlanningProblem) -> Drive:
+    drive = Drive.of(problem.graph, problem.motion, [agent.vertex for agent in problem.agents])
+    for agent, a in zip(problem.agents, drive.executor.agvs, strict=True):
+        a.in_edge, a.loaded = agent.in_edge, agent.loaded
+    return drive
+
+
+def test_the_order_at_a_place_outlasts_a_delay():
+    """The first one is late by 30 steps; the second one, planned behind it, still waits for it."""
+    drive = Drive.of(CROSS, bodies(CROSS), [CROSS.index["n"], CROSS.index["w"]])
+    first, second = way(CROSS, 0, "nxs"), way(CROSS, 1, "wxe", 4)
+    assert drive.executor.accept({0: first, 1: second}) is None
+    for _ in range(30):
+        drive.once(late=[0])
+    assert drive.ends[1] == CROSS.index["w"]
+    drive.run([])
+    assert drive.ends == [CROSS.index["s"], CROSS.index["e"]]
+
+
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("graph", "starts", "paths", "kind", "reason"),
+    [
+        (CROSS, "nw", {0: "nxs", 1: "wxe"}, "conflict", "AGVs 0 and 1 both plan to be on x"),
+        (LINE, "ab", {0: "ab", 1: "ba"}, "cycle", "AGVs (0, 1) would have to move on in a ring"),
+        (LINE, "ad", {0: "abcd", 1: "dcba"}, "cycle", "AGVs (0, 1) would have to move on in a ring"),
+        (LINE, "ac", {0: "abc", 1: "cba"}, "conflict", "AGVs 0 and 1 both plan to be on b"),
+        (RING, "abcd", {0: "ab", 1: "bc", 2: "cd", 3: "da"}, "cycle", "(0, 1, 2, 3) would have to move on in a ring"),
+        (RING, "ab", {0: "abc"}, "conflict", ""),
+        (RING, "a", {0: "ac"}, "edge", "no lane from a to c"),
+        (RING, "a", {0: "ad"}, "edge", "no lane from a to d"),
+        (RING, "a", {0: "bc"}, "start", "does not start where the authority ends"),
+    ],
+    ids=["crossing", "swap", "meeting between", "meeting at", "ring", "rest in the way", "jump", "one-way", "start"],
+)
+def test_what_cannot_be_driven_is_refused_with_the_reason(graph, starts, paths, kind, reason):
+    drive = Drive.of(graph, classic(graph), [graph.index[name] for name in starts])
+    plan = {agv: way(graph, agv, names) for agv, names in paths.items()}
+    if kind == "conflict" and not reason:  # the one in the way has a path: to stay
+        plan[1] = Path(1, (graph.index["b"],), (0,), ())
+        reason = "AGVs 1 and 0 both plan to be on b at step 1"
+    before = orders(drive.executor)
+    refusal = drive.executor.accept(plan)
+    assert isinstance(refusal, Refusal)
+    assert refusal.kind == kind
+    assert reason in refusal.reason
+    assert orders(drive.executor) == before
+    drive.run([])
+    assert drive.ends == [graph.index[name] for name in starts]
+
+
+def test_bodies_that_need_both_places_cannot_follow_at_once():
+    plan = {0: way(LINE, 0, "bc"), 1: way(LINE, 1, "ab")}
+    starts = [LINE.index["b"], LINE.index["a"]]
+    assert Executor(LINE, classic(LINE), starts).accept(plan) is None
+    refusal = Executor(LINE, bodies(LINE), starts).accept(plan)
+    assert refusal
+    assert refusal.kind == "conflict"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        Path(0, (), (), ()),
+        Path(0, (0, 1), (0,), (0,)),
+        Path(0, (0, 1), (0, 1), ()),
+        Path(0, (0, 1, 2), (0, 2, 1), (1, 0)),
+        Path(0, (0, 1), (0, -1), (-2,)),
+        Path(0, (0, 1), (0, 3), (3,)),
+        Path(1, (0, 1), (0, 1), (0,)),
+    ],
+    ids=["no vertices", "few arrivals", "few departures", "back in time", "before now", "no time", "another's"],
+)
+def test_a_path_without_sense_is_refused(path):
+    drive = Drive.of(RING, classic(RING), [0, 2])
+    before = orders(drive.executor)
+    refusal = drive.executor.accept({0: path})
+    assert refusal
+    assert refusal.agents == (0,)
+    assert orders(drive.executor) == before
+
+
+@pytest.mark.parametrize("agv", [-1, 7])
+def test_a_path_for_an_agv_that_is_not_there_is_refused(agv):
+    executor = Executor(RING, classic(RING), [0])
+    refusal = executor.accept({agv: Path(agv, (0, 1), (0, 1), (0,))})
+    assert refusal
+    assert refusal.agents == (agv,)
+
+
+@settings(max_examples=40, deadline=None)
+@given(walks(), st.data())
+def test_a_refused_plan_leaves_the_accepted_one_as_it_was(plan, data):
+    """Somebody is to drive from its place to its place; the plan before is carried out all the same."""
+    drive = Drive.of(plan.graph, plan.motion, plan.starts)
+    assume(drive.executor.accept(plan.paths) is None)
+    before = orders(drive.executor)
+    agv = data.draw(st.sampled_from(sorted(plan.paths)))
+    here = plan.starts[agv]
+    refusal = drive.executor.accept({**plan.paths, agv: Path(agv, (here, here), (0, 1), (0,))})
+    assert refusal
+    assert (refusal.kind, refusal.agents) == ("edge", (agv,))
+    assert orders(drive.executor) == before
+    drive.run([])
+    assert drive.ends == [path.vertices[-1] for path in plan.paths.values()]
+
+
+# --- orders given a clock again ---------------------------------------------------------------------------------------
+
+
+class Punctual:
+    """AGVs that take exactly the tabulated steps: when each front arrives, with no plan and no orders."""
+
+    def __init__(self, drive: Drive) -> None:
+        self.drive, self.motion = drive, drive.plant.motion
+        self.way = [[v] for v in drive.ends]
+        self.front = [0] * len(self.way)
+        self.due = [0] * len(self.way)
+        self.arrivals: list[list[int]] = [[0] for _ in self.way]
+        self.acting = [0] * len(self.way)
+
+    def states(self, step: int) -> list[AgvState]:
+        for i, way in enumerate(self.way):
+            if self.front[i] < len(way) - 1 and self.due[i] == step:
+                self.front[i] += 1
+                self.arrivals[i].append(step)
+                self._set_off(i, step)
+        return [
+            AgvState(i, front, front, front == len(way) - 1 and self.acting[i] <= step)
+            for i, (way, front) in enumerate(zip(self.way, self.front, strict=True))
+        ]
+
+    def execute(self, command, step: int) -> None:
+        i = command.agv
+        if not hasattr(command, "vertices"):
+            self.acting[i] = step + command.steps
+            return
+        standing = self.front[i] == len(self.way[i]) - 1
+        self.way[i] += command.vertices
+        if standing:
+            self._set_off(i, step)
+
+    def _set_off(self, i: int, step: int) -> None:
+        if self.front[i] < len(self.way[i]) - 1:
+            graph = self.drive.plant.graph
+            u, v = self.way[i][self.front[i] : self.front[i] + 2]
+            loaded = int(self.drive.executor.agvs[i].loaded)
+            self.due[i] = step + int(self.motion.edge_steps[loaded, graph.edge_index[u, v]])
+
+
+@settings(max_examples=150, deadline=None)
+@given(problems(largest=9, agents=4, window=FOREVER))
+def test_retimed_orders_say_when_everybody_arrives_if_nobody_is_late(problem):
+    assume(not problem.motion.following or (problem.motion.edge_steps == 1).all())
+    result = make_whca(problem.graph, problem.motion)(problem)
+    drive = start(problem)
+    ex = drive.executor
+    assert ex.accept(result.paths) is None
+    timed = retime(ex, 0)
+    plant = Punctual(drive)
+    for step in range(200):
+        ex.update(plant.states(step), step)
+        for command in ex.grants(step):
+            plant.execute(command, step)
+    for agv, path in timed.items():
+        assert list(path.vertices) == plant.way[agv]
+        assert list(path.arrive) == plant.arrivals[agv]
