@@ -178,7 +178,8 @@ class Planning:
             stuck = (step - a.since) // self._rules.cell_steps
         ready = self._executor.ready_step(agv.number, step)
         dwell = self._rules.lift_bay
-        return PlanAgent(agv.number, a.last, a.in_edge, ready, agv.goal, a.loaded, dwell, priority(agv, stuck))
+        rank = priority(agv, stuck)
+        return PlanAgent(agv.number, a.last, a.in_edge, ready, agv.goal, a.loaded, dwell, rank, a.turned_to)
 
     def _take(self, step: int, problem: PlanningProblem, result: PlanResult) -> None:
         paths = {path.agv: path for path in problem.fixed if path.agv < TRAIL} | dict(result.paths)

@@ -203,6 +203,7 @@ class PlanAgent:
         loaded: it carries a car.
         dwell_steps: steps it will stay at the goal (lifting, lowering).
         priority: higher goes first.
+        turned_to: vertex it has turned towards already, -1 when it has not.
     """
 
     agv: int
@@ -213,6 +214,7 @@ class PlanAgent:
     loaded: bool
     dwell_steps: int = 0
     priority: int = 0
+    turned_to: int = -1
 
 
 @dataclass(frozen=True, eq=False)

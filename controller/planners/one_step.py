@@ -1,0 +1,136 @@
+"""One move at a time, around temporary obstacles: the planning procedure of the thesis's A* and D* Lite (2025, III-3).
+
+Agents are planned in order of priority. For each of them the next places of those planned before it and the present
+places of those planned after it are obstacles for the moment; a search of single-agent paths around them yields the next
+move. Agents that turn or act are left alone and stay an obstacle where they are.
+
+Guarantee: the moves of one call are free of conflicts; the thesis's final conflict resolution has nothing left to do.
+Limits: nothing beyond the next move is looked at: agents may block each other for ever, which is for deadlock handling
+to see.
+
+Departures from the thesis: everything that a fixed path passes is an obstacle too, and where bodies need both places
+while they drive (``Motion.following`` False) the places that are being left are obstacles as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Protocol
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from controller.search.heap import Counts
+from controller.search.space import Lanes, Space
+from controller.types import FOREVER, Counters, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from sumo_nets.graph import FloatArray, IntArray
+
+#: Instead of an edge: no move.
+STAY = -1
+
+
+class MoveSearch(Protocol):
+    """Finds one agent's next move.
+
+    Attributes:
+        counters: search work so far, int64: expanded, heap moves, generated, valid.
+    """
+
+    counters: Counts
+
+    def next_edge(self, agent: PlanAgent, blocked: NDArray[np.uint8], obstacles: Iterable[int]) -> int:
+        """First edge of a shortest path to the agent's goal, or ``STAY`` when there is none.
+
+        Args:
+            agent: the agent, not at its goal.
+            blocked: shape (n,), where nobody may drive; the goal is exempt.
+            obstacles: further vertices that may not be entered for the moment, the goal included.
+        """
+
+
+class OneStep:
+    """The planner.
+
+    Attributes:
+        search: what finds the moves.
+    """
+
+    def __init__(self, search: MoveSearch) -> None:
+        self.search = search
+
+    def __call__(self, problem: PlanningProblem) -> PlanResult:
+        """Plan one move for all agents of a problem.
+
+        Returns:
+            SOLVED with paths of at most one move; those who have no way at present have a path that stays.
+        """
+        self.search.counters[:] = 0
+        passed = {v for path in problem.fixed for v in path.vertices}
+        current = {agent.agv: agent.vertex for agent in problem.agents}
+        next_ = dict(current)
+        following = problem.motion.following
+        paths: dict[int, Path] = {}
+        for agent in sorted(problem.agents, key=lambda a: (-a.priority, a.agv)):
+            taken = [v for agv, v in next_.items() if agv != agent.agv]
+            if not following:
+                taken += [v for agv, v in current.items() if agv != agent.agv]
+            edge = STAY
+            if agent.vertex != agent.goal and not (following and agent.ready_step > 0):
+                edge = self.search.next_edge(agent, problem.blocked, {*taken, *passed})
+            path = _path(problem, agent, edge, passed)
+            paths[agent.agv] = path
+            if not following or path.arrive[-1] == 1:  # whoever turns first stays an obstacle where it is
+                next_[agent.agv] = path.vertices[-1]
+        return PlanResult(Status.SOLVED, paths, counters=Counters(*self.search.counters.tolist()))
+
+
+def _path(problem: PlanningProblem, agent: PlanAgent, edge: int, passed: set[int]) -> Path:
+    """One move, or none; it rests until the window's end unless a fixed path comes through."""
+    graph, motion = problem.graph, problem.motion
+    vertices: tuple[int, ...] = (agent.vertex,)
+    arrive: tuple[int, ...] = (0,)
+    depart: tuple[int, ...] = ()
+    if edge != STAY:
+        head = int(graph.head[edge])
+        turn = 0 if agent.turned_to == head else motion.turn(graph, agent.in_edge, edge, agent.loaded)
+        leave = agent.ready_step + turn
+        vertices, depart = (agent.vertex, head), (leave,)
+        arrive = (0, leave + int(motion.edge_steps[int(agent.loaded), edge]))
+    until = arrive[-1] if vertices[-1] in passed else max(arrive[-1], problem.window_steps)
+    return Path(agent.agv, vertices, arrive, depart, until)
+
+
+def ranked_edges(space: Space) -> IntArray:
+    """The edges that leave each vertex in the thesis's order: down, up, right, left on the map; shape (m,).
+
+    Those of vertex ``v`` stand at ``first_out[v]`` to ``first_out[v + 1]``, as in ``Lanes``.
+    """
+    rank = {270: 0, 90: 1, 0: 2, 180: 3}
+    heading = np.rint(space.graph.heading_deg).astype(int) % 360
+    order = sorted(range(len(heading)), key=lambda e: (space.lanes.tail[e], rank.get(int(heading[e]), 4), e))
+    return np.array(order, dtype=np.int32)
+
+
+@njit(cache=True)
+def estimate(u: int, v: int, xy: FloatArray, rate: float) -> int:
+    """Least steps between two vertices by Manhattan distance, at so many steps per metre (consistent)."""
+    return int(np.ceil(rate * (abs(xy[u, 0] - xy[v, 0]) + abs(xy[u, 1] - xy[v, 1])) - 1e-6))
+
+
+@njit(cache=True)
+def best_edge(
+    start: int, goal: int, g: IntArray, closed: NDArray[np.uint8], steps: IntArray, ranked: IntArray, lanes: Lanes
+) -> int:
+    """The edge to the neighbour of least cost + g, then least Manhattan distance to the goal, then first in order."""
+    best, best_cost, best_far = STAY, FOREVER, 0.0
+    for i in range(lanes.first_out[start], lanes.first_out[start + 1]):
+        e = ranked[i]
+        v = lanes.head[e]
+        if closed[v] or g[v] >= FOREVER:
+            continue
+        cost = steps[e] + g[v]
+        far = abs(lanes.xy[v, 0] - lanes.xy[goal, 0]) + abs(lanes.xy[v, 1] - lanes.xy[goal, 1])
+        if cost < best_cost or (cost == best_cost and far < best_far - 1e-6):
+            best, best_cost, best_far = e, cost, far
+    return best
