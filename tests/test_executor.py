@@ -15,13 +15,13 @@ from controller.executor import Executor
 from controller.planners.cbs import CbsLimits, cbs
 from controller.planners.token import make_token
 from controller.planners.whca import make_whca
-from controller.types import FOREVER, Action, AgvState, Path, PlanningProblem
+from controller.types import FOREVER, AgvState, Path, PlanningProblem
 from controller.visits import Refusal, retime
 from sumo_nets.graph import Graph, make_graph
 
 PLANNERS = {
     "whca": lambda problem: make_whca(problem.graph, problem.motion)(problem),
-    "token": lambda problem: make_token(problem.graph, problem.motion)(problem),
+    "token": lambda problem: make_token(problem.graph, problem.motion)(replace(problem, fixed=stays(problem))),
     "cbs": lambda problem: cbs(problem, CbsLimits(expansions=100)),
 }
 
@@ -37,6 +37,11 @@ def lanes(places: dict[str, tuple[float, float]], ways: str) -> Graph:
 RING = lanes({"a": (0, 0), "b": (1, 0), "c": (1, 1), "d": (0, 1)}, "ab bc cd da")
 LINE = lanes({"a": (0, 0), "b": (1, 0), "c": (2, 0), "d": (3, 0)}, "a-b b-c c-d")
 CROSS = lanes({"n": (1, 2), "w": (0, 1), "x": (1, 1), "e": (2, 1), "s": (1, 0)}, "n-x w-x e-x s-x")
+
+
+def stays(problem: PlanningProblem) -> tuple[Path, ...]:
+    """Token passing is told what each AGV carries out so far: to keep its place."""
+    return tuple(Path(agent.agv, (agent.vertex,), (0,), ()) for agent in problem.agents)
 
 
 def way(graph: Graph, agv: int, names: str, start: int = 0) -> Path:
