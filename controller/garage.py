@@ -109,8 +109,9 @@ class Garage:
         self.left = 0
         self.initial = 0
         self.unfinished = 0
-        self._promised = 0
-        self._early: dict[str, list[Job]] = {}
+        self._inside: set[str] = set()
+        self._asked_for: set[str] = set()
+        self._early: dict[str, Job] = {}
         self._boarding: list[Job] = []
 
     # --- requests -------------------------------------------------------------------------------------------------
@@ -126,7 +127,7 @@ class Garage:
         for car, slot in zip(cars, rng.permutation(self.graph.slots)[: len(cars)], strict=True):
             self._put(car, int(slot))
         self.initial = len(cars)
-        self._promised = len(cars)
+        self._inside = set(cars)
 
     def request(self, request: Request, now_s: float) -> Job:
         """Enter a request in the books; it may be refused at once."""
@@ -140,12 +141,14 @@ class Garage:
         return job
 
     def _request_park(self, job: Job, now_s: float) -> None:
-        if self._promised >= len(self.graph.slots):
+        if job.car in self._inside:
+            self._refuse(job, "car is in the garage already", now_s)
+            return
+        if len(self._inside) >= len(self.graph.slots):
             self._refuse(job, "garage full", now_s)
             return
-        self._promised += 1
+        self._inside.add(job.car)
         self.arrived += 1
-        self._early.setdefault(job.car, [])
         if self.handover == "home":
             job.at_bay_s = job.ready_s = now_s
             self.open.append(job)
@@ -153,12 +156,17 @@ class Garage:
             self.queue.append(job)
 
     def _request_retrieve(self, job: Job, now_s: float) -> None:
+        if job.car not in self._inside:
+            self._refuse(job, "car is not in the garage", now_s)
+            return
+        if job.car in self._asked_for:
+            self._refuse(job, "car is asked for already", now_s)
+            return
+        self._asked_for.add(job.car)
         if job.car in self.parked:
             self._open_retrieve(job, now_s)
-        elif job.car in self._early:
-            self._early[job.car].append(job)
         else:
-            self._refuse(job, "car is not in the garage", now_s)
+            self._early[job.car] = job
 
     def _open_retrieve(self, job: Job, now_s: float) -> None:
         job.ready_s = now_s
@@ -262,7 +270,8 @@ class Garage:
             self.reserved.pop(job.destination)
             self._put(job.car, job.destination)
             self._serve(job, now_s)
-            for early in self._early.pop(job.car, ()):
+            early = self._early.pop(job.car, None)
+            if early:
                 self._open_retrieve(early, now_s)
             return []
         if self.handover == "home":
@@ -279,7 +288,8 @@ class Garage:
 
     def _leave(self, job: Job, now_s: float) -> None:
         self.left += 1
-        self._promised -= 1
+        self._inside.remove(job.car)
+        self._asked_for.remove(job.car)
         self._serve(job, now_s)
 
     def _serve(self, job: Job, now_s: float) -> None:

@@ -1,0 +1,263 @@
+"""The garage's books, against a count of cars kept apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from controller.garage import Garage, Job
+from controller.types import CallForward, DriveOff, HandOver, Request, RequestKind
+from sumo_nets.graph import make_graph
+
+SLOTS = ("s1", "s2", "s3", "s4")
+BAYS = ("b1", "b2")
+GRAPH = make_graph(
+    "books",
+    [(name, float(x), 0.0) for x, name in enumerate(("home", *BAYS, *SLOTS))],
+    [(f"home{way}{name}", *ends, 5.0) for name in (*BAYS, *SLOTS) for way, ends in
+     ((">", ("home", name)), ("<", (name, "home")))],
+    {"slot": SLOTS, "bay": BAYS, "home": ("home",)},
+)  # fmt: skip
+
+
+def empty(handover="bay") -> Garage:
+    return Garage(GRAPH, handover, np.random.default_rng(1), 10.0)
+
+
+def park(garage: Garage, car: str) -> Job:
+    return garage.request(Request(0.0, RequestKind.PARK, car), 0.0)
+
+
+def retrieve(garage: Garage, car: str) -> Job:
+    return garage.request(Request(0.0, RequestKind.RETRIEVE, car), 0.0)
+
+
+def with_cars(*cars: str, handover="home") -> Garage:
+    garage = empty(handover)
+    garage.place_initial(cars, np.random.default_rng(1))
+    return garage
+
+
+def brought_in(garage: Garage, job: Job, slot: int) -> None:
+    """What an AGV does with a car that stands at home."""
+    garage.assign(job, 0, 1.0, GRAPH.homes[0], slot)
+    garage.lifted(job, 2.0)
+    garage.lowered(job, 3.0)
+
+
+class Books(RuleBasedStateMachine):
+    """Customers and AGVs do what they can in any order; the model only knows which car is where."""
+
+    @initialize(handover=st.sampled_from(["bay", "home"]), cars=st.integers(0, 4))
+    def open_garage(self, handover, cars):
+        self.garage = empty(handover)
+        self.garage.place_initial([f"early{k}" for k in range(cars)], np.random.default_rng(cars))
+        #: car -> "coming", "parked", "leaving"; a car that is refused or has left is not here
+        self.cars = {f"early{k}": "parked" for k in range(cars)}
+        self.asked: set[str] = set()
+        self.called: list[Job] = []
+        self.assigned: list[Job] = []
+        self.carried: list[Job] = []
+        self.boarding: list[Job] = []
+        self.now_s = 0.0
+        self.made = self.served = self.refused = 0
+
+    @rule(car=st.sampled_from("abcdef"))
+    def customer_comes(self, car):
+        job = park(self.garage, car)
+        self.made += 1
+        if car in self.cars or len(self.cars) == len(SLOTS):
+            assert job.state == "refused"
+            assert job.reason == ("car is in the garage already" if car in self.cars else "garage full")
+            self.refused += 1
+        else:
+            assert job.state == "waiting"
+            self.cars[car] = "coming"
+
+    @rule(car=st.sampled_from(["a", "b", "c", "d", "e", "f", "early0", "early1", "unknown"]))
+    def customer_wants_the_car_back(self, car):
+        job = retrieve(self.garage, car)
+        self.made += 1
+        if car not in self.cars or car in self.asked:
+            assert job.state == "refused"
+            assert job.reason == ("car is asked for already" if car in self.cars else "car is not in the garage")
+            self.refused += 1
+        else:
+            assert job.state == "waiting"
+            self.asked.add(car)
+
+    @rule(closed=st.sets(st.sampled_from(GRAPH.bays), max_size=2))
+    def cars_are_called_forward(self, closed):
+        for command in self.garage.call_forward(frozenset(closed)):
+            assert isinstance(command, CallForward)
+            assert command.bay not in closed
+            self.called.append(self.garage.bays[command.bay].inbound)
+            assert self.called[-1].car == command.car
+
+    @precondition(lambda self: self.called)
+    @rule(data=st.data())
+    def car_reaches_its_bay(self, data):
+        job = data.draw(st.sampled_from(self.called))
+        self.called.remove(job)
+        assert self.garage.car_at_bay(job.origin, self.now_s) is job
+        assert job.ready_s >= job.at_bay_s == self.now_s
+
+    @precondition(lambda self: self.garage.open)
+    @rule(data=st.data())
+    def an_agv_takes_a_job(self, data):
+        job = data.draw(st.sampled_from(self.garage.open))
+        free = [int(v) for v in self.garage.slots[self.garage.slot_free]]
+        assert free or not job.is_park, "a car was let in without a slot for it"
+        slot = data.draw(st.sampled_from(free)) if job.is_park else -1
+        self.garage.assign(job, 0, self.now_s, job.origin if job.origin >= 0 else GRAPH.homes[0], slot)
+        self.assigned.append(job)
+
+    @precondition(lambda self: self.assigned)
+    @rule(data=st.data())
+    def an_agv_gives_a_job_back(self, data):
+        job = data.draw(st.sampled_from(self.assigned))
+        self.assigned.remove(job)
+        self.garage.unassign(job)
+
+    @precondition(lambda self: self.assigned)
+    @rule(data=st.data())
+    def an_agv_lifts(self, data):
+        job = data.draw(st.sampled_from(self.assigned))
+        self.assigned.remove(job)
+        self.garage.lifted(job, self.now_s)
+        self.carried.append(job)
+        if not job.is_park:
+            assert self.cars[job.car] == "parked"
+            self.cars[job.car] = "leaving"
+            free = data.draw(st.sampled_from(GRAPH.bays)) if self.garage.handover == "bay" else GRAPH.homes[0]
+            job.destination = free
+
+    @precondition(lambda self: any(self.garage.may_lower(job) for job in self.carried))
+    @rule(data=st.data())
+    def an_agv_lowers(self, data):
+        job = data.draw(st.sampled_from([job for job in self.carried if self.garage.may_lower(job)]))
+        self.carried.remove(job)
+        self.garage.lower_starts(job)
+        commands = self.garage.lowered(job, self.now_s)
+        if job.is_park:
+            self.cars[job.car] = "parked"
+            self.served += 1
+        elif self.garage.handover == "bay":
+            assert commands == [HandOver(job.car, job.destination)]
+        else:
+            self._has_left(job)
+
+    @rule(seconds=st.floats(0.0, 60.0))
+    def time_passes(self, seconds):
+        self.now_s += seconds
+        for command in self.garage.board(self.now_s):
+            assert isinstance(command, DriveOff)
+            job = self.garage.bays[command.bay].outbound
+            assert job.car == command.car
+            assert job.delivered_s + job.handling_s <= self.now_s
+            self.boarding.append(job)
+
+    @precondition(lambda self: self.boarding)
+    @rule(data=st.data())
+    def car_drives_off(self, data):
+        job = data.draw(st.sampled_from(self.boarding))
+        self.boarding.remove(job)
+        assert self.garage.car_left(job.destination, self.now_s) is job
+        self._has_left(job)
+
+    def _has_left(self, job):
+        del self.cars[job.car]
+        self.asked.discard(job.car)
+        self.served += 1
+
+    @invariant()
+    def everything_adds_up(self):
+        if not hasattr(self, "garage"):
+            return
+        assert self.garage.audit() == []
+        where = sorted(self.cars.values())
+        assert set(self.garage.parked) == {car for car, place in self.cars.items() if place == "parked"}
+        assert self.garage.in_transit() == where.count("coming") + where.count("leaving")
+        states = [job.state for job in self.garage.jobs]
+        assert len(states) == self.made
+        assert (states.count("served"), states.count("refused")) == (self.served, self.refused)
+        assert self.garage.unfinished == self.made - self.served - self.refused
+
+    @invariant()
+    def no_slot_is_given_twice(self):
+        if not hasattr(self, "garage"):
+            return
+        parked = list(self.garage.parked.values())
+        promised = [job.destination for job in (*self.assigned, *self.carried) if job.is_park]
+        taken = parked + promised
+        assert len(set(taken)) == len(taken)
+        free = set(self.garage.slots[self.garage.slot_free].tolist())
+        assert free == set(GRAPH.slots) - set(taken)
+        assert set(np.flatnonzero(self.garage.blocked).tolist()) == set(parked)
+
+
+TestBooks = Books.TestCase
+TestBooks.settings = settings(max_examples=80, stateful_step_count=40, deadline=None)
+
+
+def test_a_full_garage_refuses_and_takes_again_when_a_car_has_left():
+    garage = with_cars("a", "b", "c")
+    assert park(garage, "d").state == "waiting"
+    late = park(garage, "e")
+    assert (late.state, late.reason) == ("refused", "garage full")
+    out = retrieve(garage, "a")
+    garage.assign(out, 0, 1.0, out.origin)
+    garage.lifted(out, 2.0)
+    assert park(garage, "f").state == "refused", "a slot is promised to the car on its way in"
+    garage.lowered(out, 3.0)
+    assert park(garage, "g").state == "waiting"
+    assert garage.audit() == []
+
+
+def test_a_car_asked_for_before_it_is_parked_is_brought_as_soon_as_it_is():
+    garage = empty("home")
+    coming = park(garage, "a")
+    early = retrieve(garage, "a")
+    assert early.state == "waiting"
+    assert early not in garage.open
+    brought_in(garage, coming, GRAPH.slots[2])
+    assert garage.open == [early]
+    assert (early.origin, early.ready_s) == (GRAPH.slots[2], 3.0)
+
+
+@pytest.mark.parametrize("car", ["never seen", "gone"])
+def test_a_car_that_is_not_there_cannot_be_had(car):
+    garage = with_cars("gone")
+    out = retrieve(garage, "gone")
+    garage.assign(out, 0, 1.0, out.origin)
+    garage.lifted(out, 2.0)
+    garage.lowered(out, 3.0)
+    job = retrieve(garage, car)
+    assert (job.state, job.reason, job.done_s) == ("refused", "car is not in the garage", 0.0)
+    assert garage.open == []
+
+
+@pytest.mark.parametrize("parked", [True, False])
+def test_a_car_is_fetched_once_however_often_it_is_asked_for(parked):
+    garage = with_cars("a") if parked else empty("home")
+    if not parked:
+        park(garage, "a")
+    assert retrieve(garage, "a").state == "waiting"
+    again = retrieve(garage, "a")
+    assert (again.state, again.reason) == ("refused", "car is asked for already")
+
+
+def test_handling_times_depend_on_the_order_of_requests_alone():
+    plain, busy = with_cars("a"), with_cars("a")
+    park(busy, "x")
+    brought_in(busy, busy.open[0], int(busy.slots[busy.slot_free][0]))
+    park(plain, "x")
+    assert park(plain, "y").handling_s == park(busy, "y").handling_s
+
+
+def test_more_cars_than_slots_cannot_stand_there_at_the_start():
+    with pytest.raises(ValueError, match="5 cars for 4 slots"):
+        with_cars("a", "b", "c", "d", "e")
