@@ -67,11 +67,13 @@ class Acs:
         self.log = setup.log
         self.agvs = [Agv(i, home, home) for i, home in enumerate(setup.homes)]
         self.executor = Executor(setup.graph, setup.motion, setup.homes)
-        self.costs = Costs(setup.graph, setup.motion)
+        self.costs = Costs(setup.graph, setup.motion, setup.garage.blocked)
         self.planning = Planning(
             setup.planner, setup.options, self.agvs, self.executor, setup.rules, self.costs, self.log
         )
         self._claims: dict[int, int] = {}
+        self._attend: set[int] = set()
+        self._low: set[int] = set()
         self._places: Mask = np.zeros(len(setup.graph.names), dtype=np.uint8)
         self._places[[*setup.graph.bays, *setup.graph.chargers, *setup.homes]] = 1
         self._now_s = 0.0
@@ -90,16 +92,17 @@ class Acs:
         """
         self._step, self._now_s = step, step * self._setup.motion.step_s
         self._commands = []
-        finished = self.executor.update(states, step)
-        for s in states:
-            self.agvs[s.agv].soc = s.soc
-        for agv in finished:
-            self._complete(self.agvs[agv])
+        changed, finished = self.executor.update(states, step)
+        for n in changed:
+            self.agvs[n].soc = states[n].soc
+        for n in finished:
+            self._complete(self.agvs[n])
+        self._attend.update(changed)
         self._work_at_goals()
         if self.garage.handover == "bay":
             self._commands += self.garage.board(self._now_s)
             self._commands += self.garage.call_forward()
-        self._send_charging()
+        self._send_charging(changed)
         self._dispatch()
         self.planning.step(step, self.garage.blocked, self._no_rest)
         self._commands += self.executor.grants(step)
@@ -108,18 +111,21 @@ class Acs:
     # --- work at the goals ----------------------------------------------------------------------------------------
 
     def _work_at_goals(self) -> None:
-        for agv in self.agvs:
-            a = self.executor.agvs[agv.number]
+        """Let AGVs begin what they came for; who can't yet (a customer, a bay, a place is awaited) stays attended."""
+        for n in sorted(self._attend):
+            agv, a = self.agvs[n], self.executor.agvs[n]
             if agv.action is None and a.standing and a.acting_until < 0:
                 if agv.mode is AgvMode.RETURNING_WITH_CAR and agv.job and agv.job.destination < 0:
                     self._choose_bay(agv, agv.job)
                 if a.last == agv.goal and agv.mode is not AgvMode.IDLE:
                     if a.pending:
-                        self.executor.cancel(agv.number)
-                    self._begin(agv)
+                        self.executor.cancel(n)
+                    if not self._begin(agv):
+                        continue
+            self._attend.discard(n)
 
-    def _begin(self, agv: Agv) -> None:
-        """Start what has to be done where the AGV stands."""
+    def _begin(self, agv: Agv) -> bool:
+        """Start what has to be done where the AGV stands; False while a customer, a bay or a place is awaited."""
         job = agv.job
         at_slot = agv.goal in self.garage.slot_of
         if agv.mode is AgvMode.GOING_TO_COLLECT and job and job.ready_s <= self._now_s:
@@ -134,6 +140,7 @@ class Acs:
             self._act(agv, Action.CHARGE, self.rules.charging_steps(agv.soc))
         elif agv.mode in (AgvMode.RETURNING_HOME_EMPTY, AgvMode.RETURNING_HOME_MAINTENANCE):
             self._set_mode(agv, AgvMode.IDLE)
+        return agv.action is not None or agv.mode is AgvMode.IDLE
 
     def _act(self, agv: Agv, action: Action, steps: int) -> None:
         agv.action = action
@@ -206,8 +213,9 @@ class Acs:
             return agv.mode in FREE_MODES and agv.action is None
         return agv.mode is AgvMode.IDLE
 
-    def _send_charging(self) -> None:
-        for agv in self.agvs:
+    def _send_charging(self, changed: Sequence[int]) -> None:
+        self._low.update(n for n in changed if self.agvs[n].soc <= self.rules.charge_below)
+        for agv in [self.agvs[n] for n in sorted(self._low)]:
             if agv.soc <= self.rules.charge_below and agv.mode in FREE_MODES and agv.action is None:
                 here = self.executor.agvs[agv.number].last
                 free = [c for c in self.graph.chargers if c not in self._claims]
@@ -216,21 +224,27 @@ class Acs:
                     self._claims[charger] = agv.number
                     self._set_mode(agv, AgvMode.GOING_TO_CHARGE)
                     self._set_goal(agv, charger)
+                    self._low.discard(agv.number)
 
     def _dispatch(self) -> None:
         if not self.garage.open:
             return
         at = {a.number: self.executor.agvs[a.number].last for a in self.agvs if self._available(a)}
-        if not at:
+        count = len(self.garage.open)
+        if self.rules.keep_for_returning:
+            count -= sum(1 for a in self.agvs if a.mode is AgvMode.RETURNING_HOME_EMPTY)
+        if not at or count <= 0:
             return
-        for offer in self._setup.dispatch(self.garage.open, at, self._claims, self.costs):
+        before = self.costs.expanded
+        for offer in self._setup.dispatch(self.garage.open, at, self._claims, self.costs)[:count]:
             self._assign(offer.job, self.agvs[offer.agv], offer.origin)
+        self.planning.slot_choice += self.costs.expanded - before
 
     def _assign(self, job: Job, agv: Agv, origin: int) -> None:
         origin = agv.home if origin < 0 else origin
         slot = -1
         if job.is_park:
-            slot = choose_slot(self.garage, origin, job.request.zone, self.costs)
+            slot = choose_slot(self.garage, origin, job.request.zone, self.costs, self.rules.around_cars)
             if slot < 0:
                 return
         self.garage.assign(job, agv.number, self._now_s, origin, slot)
@@ -255,6 +269,7 @@ class Acs:
         if agv.mode is not mode:
             self.log("agv_mode", agv.number, "", -1, {"from": agv.mode.value, "to": mode.value})
             agv.mode = mode
+            self._attend.add(agv.number)
 
     def _release(self, agv: Agv) -> None:
         if self._claims.get(agv.goal) == agv.number:

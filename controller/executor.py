@@ -92,6 +92,7 @@ class Executor:
         self.moves = [0] * len(starts)
         self.distance_m = [0.0] * len(starts)
         self._due: set[int] = set()
+        self._seen: list[AgvState | None] = [None] * len(starts)
 
     def accept(self, paths: Mapping[int, Path]) -> Refusal | None:
         """Replace all visiting orders by a plan; AGVs without a path keep their place.
@@ -118,15 +119,19 @@ class Executor:
         self._due.update(range(len(self.agvs)))
         return None
 
-    def update(self, states: Iterable[AgvState], step: int) -> list[int]:
+    def update(self, states: Iterable[AgvState], step: int) -> tuple[list[int], list[int]]:
         """Take over what the plant saw; free what has been left.
 
         Returns:
-            The AGVs whose action ended.
+            The AGVs of which something is new, and those whose action ended.
         """
-        finished = []
+        changed, finished = [], []
         for s in states:
             a = self.agvs[s.agv]
+            if s is self._seen[s.agv] and not (s.standing and a.acting_until >= 0):
+                continue
+            self._seen[s.agv] = s
+            changed.append(s.agv)
             while a.first < s.left:
                 a.first += 1
                 self._free(s.agv, a.trail.popleft())
@@ -141,7 +146,7 @@ class Executor:
                 a.acting_until, a.acting = -1, None
                 finished.append(s.agv)
                 self._due.add(s.agv)
-        return finished
+        return changed, finished
 
     def cancel(self, agv: int) -> None:
         """Drop the vertices planned but not granted."""
