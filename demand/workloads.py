@@ -11,10 +11,11 @@ from demand.bursts import Bursts
 from demand.csv_file import Csv
 from demand.park_exit import ParkExit
 from demand.poisson import Poisson
+from demand.profile_traffic import ProfileTraffic
 from demand.types import Demand, Workload
 from demand.zones import Zones
 
-AnyWorkload = ParkExit | Poisson | Bursts | Zones | Csv
+AnyWorkload = ParkExit | Poisson | Bursts | Zones | Csv | ProfileTraffic
 
 #: What a scenario file may say under ``workload``; its ``kind`` says which.
 WorkloadConfig = Annotated[AnyWorkload, Field(discriminator="kind")]
