@@ -59,7 +59,7 @@ def write_report(folder: Path) -> Path:
     metrics = run_metrics(run)
     page = environment().get_template("report.html").render(
         run=run,
-        title=_title(run),
+        title=page_title(run),
         headlines=headlines(run, metrics),
         checks=checks(run, metrics),
         tiles=_tiles(metrics),
@@ -280,7 +280,7 @@ def _deadlock_line(m: Metrics) -> str:
     return f"{_count(found, 'deadlock')} arose, all resolved{longest}."
 
 
-def _title(run: Run) -> str:
+def page_title(run: Run) -> str:
     """Garage, fleet, planner and seed, as far as they are known."""
     scenario = run.meta.get("scenario") or {}
     agvs = scenario.get("agvs", len(run.agvs))
@@ -352,7 +352,7 @@ def _index_row(folder: Path, base: Path) -> dict[str, Any]:
     target = folder / ("report.html" if (folder / "report.html").is_file() else "run.json")
     return {
         "name": run.name,
-        "title": _title(run),
+        "title": page_title(run),
         "link": Path(os.path.relpath(target, base)).as_posix(),
         "status": run.meta.get("status", "–"),
         "passed": all(check.passed is not False for check in checks(run, metrics)),

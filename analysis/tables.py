@@ -47,6 +47,11 @@ class Run:
         return self.read("trajectory")
 
     @cached_property
+    def plans(self) -> pd.DataFrame:
+        """One row per AGV and sample in which its plan is new."""
+        return self.read("plans")
+
+    @cached_property
     def timeline(self) -> pd.DataFrame:
         """One row per sampled moment."""
         return self.read("timeline")
@@ -70,6 +75,11 @@ class Run:
     def edges(self) -> pd.DataFrame:
         """One row per directed edge of the garage."""
         return self.read("edges")
+
+    @cached_property
+    def shapes(self) -> pd.DataFrame:
+        """One row per point of a lane's or the street's centre line; empty if they were not recorded."""
+        return self.read("shapes")
 
     def details(self, kind: str) -> pd.DataFrame:
         """The events of one kind, with the keys of their detail as columns instead of ``detail``.
