@@ -10,6 +10,9 @@ A path ends
 - at a vertex where it can wait until the window's end, f = window + h, dearer by a quarter of the window where
   ``no_rest`` holds; or at the vertex that it would leave just then, f = t + h of the next one.
 
+The exact distance of a state is only asked for when its turn comes, until then a bound below it serves (Tolpin et al.
+2013, lazy A*): most of the graph around the path is never searched.
+
 Departures from the papers: turns take time before a departure; with ``following`` False an agent owns both ends of an
 edge while it drives; with ``following`` True a move that would close a ring of agents, each entering the vertex that
 the next one leaves in the same step (a swap is the ring of two), is not allowed.
@@ -25,7 +28,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.search.distances import Distances, Field, distance_from, settle
+from controller.search.distances import Distances, Field, at_least, distance_from, settle
 from controller.search.reservations import AGENT, END, NEXT, START, ReservationTable
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes
 from controller.types import FOREVER, NEVER, Path, PlanAgent, PlanningProblem
@@ -33,8 +36,9 @@ from sumo_nets.graph import IntArray
 
 #: Columns of ``_Memory.nodes``. EDGE is -1 for the start; SLOT numbers the safe interval of the vertex, which lasts
 #: until LAST; T and LEAVE are the arrival and the departure before it; OLDER is the next node of the same edge; STALE
-#: is 1 once a better node has replaced it; FINAL is 1 where a path may end at arrival.
-EDGE, VERTEX, SLOT, T, LEAVE, LAST, H, FKEY, PARENT, OLDER, STALE, FINAL = range(12)
+#: is 1 once a better node has replaced it; FINAL is 1 where a path may end at arrival; EXACT is 1 when H is the distance
+#: and no bound below it.
+EDGE, VERTEX, SLOT, T, LEAVE, LAST, H, FKEY, PARENT, OLDER, STALE, FINAL, EXACT = range(13)
 
 #: Places of the query that the kernel reads.
 Q_VERTEX, Q_EDGE, Q_READY, Q_GOAL, Q_LOADED, Q_WINDOW, Q_PENALTY, Q_FOLLOWING, Q_LIMIT = range(9)
@@ -47,7 +51,7 @@ class _Memory(NamedTuple):
     """Search memory, reused without clearing.
 
     Attributes:
-        nodes: shape (N, 12), see the columns above.
+        nodes: shape (N, 13), see the columns above.
         open: shape (N,), binary heap of node numbers.
         newest: shape (m, 2): newest node of each edge, valid if the second column is the current generation.
         meta: number of nodes, size of OPEN, generation, blocking agent.
@@ -156,7 +160,7 @@ class PathSearch:
 
 def _new_memory(nodes: int, edges: int) -> _Memory:
     return _Memory(
-        np.zeros((nodes, 12), dtype=np.int32),
+        np.zeros((nodes, 13), dtype=np.int32),
         np.zeros(nodes, dtype=np.int32),
         np.zeros((edges, 2), dtype=np.int32),
         np.zeros(4, dtype=np.int32),
@@ -193,6 +197,16 @@ def _sipp(
         if wait_node >= 0 and wait_f <= nodes[n, FKEY]:
             break
         _pop(memory, counters)
+        if goal >= 0 and not nodes[n, STALE] and not nodes[n, EXACT]:
+            h = settle(nodes[n, EDGE], field, lanes, blocked, counters)
+            if h >= FOREVER:
+                continue
+            nodes[n, EXACT] = 1
+            if h > nodes[n, H]:
+                nodes[n, H] = h
+                nodes[n, FKEY] = nodes[n, T] + h
+                _push(n, memory, counters)
+                continue
         counters[EXPANDED] += 1
         if nodes[n, STALE]:
             continue
@@ -227,9 +241,7 @@ def _sipp(
                 continue
             h = 0
             if goal >= 0:
-                h = settle(e, field, lanes, blocked, counters)
-                if h >= FOREVER:
-                    continue
+                h = max(at_least(e, goal, field, lanes), nodes[n, H] - (depart - t) - steps)
             if h < nearest and latest < 0 and count[w] > 0 and rows[w, count[w] - 1, END] >= FOREVER:
                 nearest = h
                 meta[BLOCKER] = rows[w, count[w] - 1, AGENT]
@@ -243,7 +255,9 @@ def _sipp(
                 entered = a if query[Q_FOLLOWING] else a - steps
                 if entered >= window:
                     if goal >= 0 and a == depart + steps and a + h < wait_f:
-                        wait_f, wait_node = a + h, n
+                        h = settle(e, field, lanes, blocked, counters)
+                        if a + h < wait_f:
+                            wait_f, wait_node = a + h, n
                     break
                 if a >= end:
                     continue
@@ -290,6 +304,7 @@ def _generate(
     nodes[n, PARENT] = parent
     nodes[n, OLDER] = older
     nodes[n, STALE] = 0
+    nodes[n, EXACT] = edge < 0
     if query[Q_GOAL] < 0:
         nodes[n, FINAL] = last >= FOREVER and not no_rest[vertex]
     else:
