@@ -215,11 +215,14 @@ class Acs:
 
     def _send_charging(self, changed: Sequence[int]) -> None:
         self._low.update(n for n in changed if self.agvs[n].soc <= self.rules.charge_below)
+        if not (self.garage.unfinished or self.rules.charge_unasked):
+            return
         for agv in [self.agvs[n] for n in sorted(self._low)]:
             if agv.soc <= self.rules.charge_below and agv.mode in FREE_MODES and agv.action is None:
                 here = self.executor.agvs[agv.number].last
+                may = self.rules.charge_anywhere or here == agv.home or here in self.garage.slot_of
                 free = [c for c in self.graph.chargers if c not in self._claims]
-                if free:
+                if free and may:
                     charger = min(free, key=lambda c: int(self.costs.to(c)[here]))
                     self._claims[charger] = agv.number
                     self._set_mode(agv, AgvMode.GOING_TO_CHARGE)

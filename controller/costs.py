@@ -1,4 +1,8 @@
-"""Driving costs between places, for choosing AGVs, slots and bays. Other AGVs and turns are left out of the account."""
+"""Driving costs between places, for choosing AGVs, slots and bays. Other AGVs and turns are left out of the account.
+
+``to`` counts every slot as passable and is made once for each goal; ``around`` takes parked cars as walls, as they
+stand now.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from collections import OrderedDict
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from controller.types import FOREVER, Motion
 from sumo_nets.graph import Graph, IntArray
@@ -17,25 +22,29 @@ class Costs:
 
     Args:
         graph, motion: the garage and how long moves take.
+        blocked: where nobody may drive now, shape (n,); looked at whenever ``around`` is called.
         keep: tables kept; the one not used for longest goes first.
 
     Attributes:
-        expanded: vertices expanded so far (the search work of slot choice).
+        expanded: vertices expanded so far.
     """
 
-    def __init__(self, graph: Graph, motion: Motion, keep: int = 256) -> None:
+    def __init__(self, graph: Graph, motion: Motion, blocked: NDArray[np.uint8], keep: int = 256) -> None:
         self._tables: OrderedDict[int, IntArray] = OrderedDict()
         self._keep = keep
         into = np.argsort(graph.head, kind="stable").astype(np.int32)
         first = np.searchsorted(graph.head[into], np.arange(len(graph.names) + 1)).astype(np.int32)
-        self._lanes = (first, graph.tail[into], motion.edge_steps[0][into])
+        self._into = (first, graph.tail[into], motion.edge_steps[0][into])
+        self._out_of = (graph.first_out, graph.head, motion.edge_steps[0])
+        self._blocked = blocked
+        self._open = np.zeros_like(blocked)
         self.expanded = 0
 
     def to(self, goal: int) -> IntArray:
         """Steps from each vertex to the goal, shape (n,); ``FOREVER`` where it cannot be reached."""
         table = self._tables.get(goal)
         if table is None:
-            table, expanded = _dijkstra(goal, *self._lanes)
+            table, expanded = _dijkstra(goal, self._open, *self._into)
             self.expanded += expanded
             self._tables[goal] = table
             if len(self._tables) > self._keep:
@@ -44,21 +53,32 @@ class Costs:
             self._tables.move_to_end(goal)
         return table
 
+    def around(self, start: int) -> IntArray:
+        """Steps from a vertex to each other one, shape (n,), by ways that pass no blocked vertex.
+
+        A blocked vertex may be where a way ends. ``FOREVER`` where there is no way.
+        """
+        table, expanded = _dijkstra(start, self._blocked, *self._out_of)
+        self.expanded += expanded
+        return table
+
 
 @njit(cache=True)
-def _dijkstra(goal, first, tails, steps):  # type: ignore[no-untyped-def]
-    """Backwards from the goal over lanes sorted by head."""
+def _dijkstra(root, blocked, first, ends, steps):  # type: ignore[no-untyped-def]
+    """From the root over the lanes of each vertex, whose other ends are given; blocked vertices are not passed."""
     g = np.full(len(first) - 1, FOREVER, dtype=np.int32)
-    g[goal] = 0
-    OPEN = [(np.int32(0), np.int32(goal))]
+    g[root] = 0
+    OPEN = [(np.int32(0), np.int32(root))]
     expanded = 0
     while OPEN:
         cost, v = heapq.heappop(OPEN)
         if cost > g[v]:
             continue
         expanded += 1
+        if blocked[v] and v != root:
+            continue
         for k in range(first[v], first[v + 1]):
-            u = tails[k]
+            u = ends[k]
             there = np.int32(cost + steps[k])
             if there < g[u]:
                 g[u] = there

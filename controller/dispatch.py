@@ -72,13 +72,39 @@ def in_id_order(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, 
     return offers
 
 
-DISPATCH: dict[str, Rule] = {"nearest": nearest_agv, "id-order": in_id_order}
+def first_come(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, int], costs: Costs) -> list[Offer]:
+    """AGVs in order of their numbers; a car is parked in its turn, but of those to be fetched the nearest goes first.
+
+    So the thesis (2025) fetches cars: whichever parked car is nearest to the AGV as the cars stand now.
+    """
+    left = [job for job in jobs if job.is_park == jobs[0].is_park]
+    if left[0].is_park:
+        return in_id_order(left, at, taken, costs)
+    offers = []
+    for agv in sorted(at)[: len(left)]:
+        steps = costs.around(at[agv])
+        job = min(left, key=lambda j: (int(steps[j.origin]), j.origin))
+        left.remove(job)
+        offers.append(Offer(job, agv, job.origin))
+    return offers
 
 
-def choose_slot(garage: Garage, origin: int, zone: str, costs: Costs) -> int:
-    """The free slot nearest to where the car stands, in the wanted zone if there is one; -1 when all are taken."""
+DISPATCH: dict[str, Rule] = {"nearest": nearest_agv, "id-order": in_id_order, "first-come": first_come}
+
+
+def choose_slot(garage: Garage, origin: int, zone: str, costs: Costs, around_cars: bool = False) -> int:
+    """The free slot nearest to where the car stands, in the wanted zone if there is one; -1 when all are taken.
+
+    Args:
+        garage: the books.
+        origin: where the car stands.
+        zone: beginning of the wanted slots' names, "" for any.
+        costs: driving costs.
+        around_cars: count the way from there around parked cars, instead of the way back with all slots passable.
+    """
     free = garage.slots[garage.slot_free]
     if zone:
         wanted = np.array([garage.graph.names[v].startswith(zone) for v in free], dtype=np.bool_)
         free = free[wanted] if wanted.any() else free
-    return int(free[np.argmin(costs.to(origin)[free])]) if len(free) else -1
+    steps = costs.around(origin) if around_cars else costs.to(origin)
+    return int(free[np.argmin(steps[free])]) if len(free) else -1

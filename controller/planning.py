@@ -78,6 +78,7 @@ class Planning:
     Attributes:
         calls: planning calls since they were last taken.
         counters: search work of the whole run.
+        slot_choice: vertices expanded for assignments since the last call; the next call's counters take them.
     """
 
     def __init__(
@@ -106,6 +107,7 @@ class Planning:
         self._changed = True
         self.calls: list[PlanningCall] = []
         self.counters = Counters()
+        self.slot_choice = 0
 
     @property
     def resolving(self) -> bool:
@@ -138,6 +140,7 @@ class Planning:
         problem = self._problem(step, blocked, no_rest())
         start = perf_counter()
         result = self._planner(problem)
+        result.counters.slot_choice, self.slot_choice = self.slot_choice, 0
         self._take(step, problem, result)
         self._watch(step, problem)
         wall_s = perf_counter() - start

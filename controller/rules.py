@@ -18,6 +18,12 @@ class Rules:
         charge_least_steps: a charge takes at least so long.
         assign_on_return: an AGV on its way home may get a task before it is there.
         cell_steps: steps of one ordinary move; the thesis counts stuck ticks and windows in moves.
+        charge_anywhere: an AGV on its way home may turn off to charge anywhere, not only in the slot it starts from.
+        charge_unasked: AGVs go to charge though all requests are finished.
+        around_cars: slots are chosen by the way around parked cars as they stand now.
+        keep_for_returning: each AGV on its way home keeps one open job from being taken by others (the thesis starts
+            tasks while completed + active < wanted, and counts those on their way home as active).
+        run_on_steps: the run goes on so long after the last task, or until all AGVs are idle.
     """
 
     lift_slot: int
@@ -30,6 +36,11 @@ class Rules:
     charge_least_steps: int
     assign_on_return: bool
     cell_steps: int
+    charge_anywhere: bool = True
+    charge_unasked: bool = True
+    around_cars: bool = False
+    keep_for_returning: bool = False
+    run_on_steps: int = 0
 
     def charging_steps(self, soc: float) -> int:
         """Steps to charge from a state of charge to ``charge_to``."""

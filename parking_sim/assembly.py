@@ -22,7 +22,9 @@ from demand.types import Demand, stream
 from demand.workloads import make_demand
 from parking_sim.config import AgvConfig, ControlConfig, Scenario
 from parking_sim.errors import InputError
+from parking_sim.faults import scripted_faults
 from parking_sim.plants import Plant
+from parking_sim.plants.faulty import BreakablePlant, FaultyPlant
 from parking_sim.rulesets import RULE_SETS, TickRules
 from sumo_nets.doors import one_door_each
 from sumo_nets.read import GarageNet, read_net
@@ -50,7 +52,7 @@ class World:
     motion: Motion
     rules: Rules
 
-    def plant(self, outputs: Path | None, gui: bool, fcd: bool) -> Plant:
+    def plant(self, outputs: Path | None, gui: bool, fcd: bool) -> BreakablePlant:
         """Start the plant; with SUMO this loads the net."""
         if self.scenario.plant == "discrete":
             from parking_sim.plants.discrete import DiscretePlant
@@ -61,6 +63,11 @@ class World:
 
         s = self.scenario
         return SumoPlant(self.net, self.homes, agv_type(s.agv), s.seed, s.step_s, gui, outputs, fcd)
+
+    def with_faults(self, plant: BreakablePlant) -> Plant:
+        """The plant with the scenario's faults; itself if there are none."""
+        faults = self.scenario.faults
+        return FaultyPlant(plant, faults, self.homes, self.scenario.seed) if faults.any else plant
 
     def garage(self) -> Garage:
         """Empty books, then the cars that are there at the start."""
@@ -85,7 +92,8 @@ class World:
         except ValueError as error:
             raise InputError(f"planner: {error}") from None
         options = control_options(s.control, self.rules.cell_steps, self.motion.step_s)
-        rule = DISPATCH[s.dispatch]
+        prescribed = _ticks(s).dispatch if s.plant == "discrete" else ""
+        rule = DISPATCH[prescribed or s.dispatch]
         return Acs(Setup(graph, self.motion, self.homes, garage, self.rules, options, planner, rule, log))
 
 
@@ -102,6 +110,7 @@ def assemble(scenario: Scenario) -> World:
         raise InputError(f"agvs: {scenario.agvs}: {net.name} has homes for 1 to {len(homes)}")
     demand = make_demand(scenario.workload, len(net.graph.slots), scenario.seed, scenario.base_dir)
     _check_zones(demand, net)
+    scripted_faults(scenario.faults, net.graph, scenario.agvs)
     if scenario.plant == "discrete":
         ticks = _ticks(scenario)
         motion, rules = ticks.motion(net.graph, scenario.planner), ticks.rules()

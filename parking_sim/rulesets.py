@@ -21,6 +21,9 @@ class TickRules:
         charge: charging.
         charge_after_cells: cells driven after which charging is due.
         assign_on_return: an AGV on its way home may get a task.
+        dispatch: dispatch rule that goes with the set, "" for the scenario's.
+        charge_anywhere, charge_unasked, around_cars, keep_for_returning: see ``controller.rules.Rules``.
+        run_on: ticks that the run goes on after the last task, at most; it ends when all AGVs are idle.
     """
 
     turn: int = 1
@@ -30,6 +33,12 @@ class TickRules:
     charge: int = 20
     charge_after_cells: int = 300
     assign_on_return: bool = False
+    dispatch: str = ""
+    charge_anywhere: bool = True
+    charge_unasked: bool = True
+    around_cars: bool = False
+    keep_for_returning: bool = False
+    run_on: int = 0
 
     def motion(self, graph: Graph, planner: str) -> Motion:
         """Durations on a graph whose edges all are one cell."""
@@ -55,15 +64,33 @@ class TickRules:
             charge_least_steps=self.charge,
             assign_on_return=self.assign_on_return,
             cell_steps=1,
+            charge_anywhere=self.charge_anywhere,
+            charge_unasked=self.charge_unasked,
+            around_cars=self.around_cars,
+            keep_for_returning=self.keep_for_returning,
+            run_on_steps=self.run_on,
         )
 
 
 #: State of charge at which charging is due in the discrete plant.
 CHARGE_BELOW = 0.3
 
-#: ``thesis``: the thesis's program counts 1 tick for a right-angled turn under A* and D* Lite and 2 under its
-#: pipeline (see docs). ``fair``: the same turn for all.
+#: ``thesis``: what the thesis's program does (2025; see docs/thesis.md). A right-angled turn takes 1 tick under A* and
+#: D* Lite, but 2 under its pipeline; charging is set to 20 ticks, but the tick that sets it is the first of them. AGVs
+#: take tasks in order of their numbers, to the slot or from the car that is nearest as the cars stand; the run is
+#: stopped on the 11th tick after the last task. ``fair``: the same turn for all, each car fetched by name, and the run
+#: ends with the last task.
 RULE_SETS: dict[str, TickRules] = {
-    "thesis": TickRules(turn=1, turn_of={"whca": 2}),
+    "thesis": TickRules(
+        turn=2,
+        turn_of={"astar": 1, "dstar_lite": 1},
+        charge=19,
+        charge_anywhere=False,
+        charge_unasked=False,
+        dispatch="first-come",
+        around_cars=True,
+        keep_for_returning=True,
+        run_on=11,
+    ),
     "fair": TickRules(turn=1),
 }

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from controller.faults import REPORTED, FaultReport
 from controller.garage import Job
 from controller.types import Action, Advance, AgvMode, Request
 from parking_sim.assembly import World, assemble
@@ -113,6 +114,7 @@ class _Run:
         self._phase_start_s = 0.0
         self._activity = [dict.fromkeys(_ACTIVITIES, 0) for _ in self.acs.agvs]
         self._wall = dict.fromkeys(("plant", "control", "planning", "check", "record"), 0.0)
+        self._last_task = -1
         self._moved = (0, 0)
         self._moved_s = 0.0
         self._ready: list[Job] = []
@@ -134,8 +136,9 @@ class _Run:
     def started(self, outputs: Path | None, gui: bool, fcd: bool) -> Iterator[None]:
         """The plant, closed at the end whatever happens."""
         self._start = perf_counter()
-        self.plant = self.world.plant(outputs, gui, fcd)
-        self._sumo: Any = self.plant if self.world.scenario.plant == "sumo" else None
+        plant = self.world.plant(outputs, gui, fcd)
+        self.plant = self.world.with_faults(plant)
+        self._sumo: Any = plant if self.world.scenario.plant == "sumo" else None
         if self._sumo is not None:
             from parking_sim.footprint import FootprintCheck
 
@@ -214,6 +217,8 @@ class _Run:
                 job = self.garage.car_at_bay(event.bay, self.now_s)
                 self._ready.append(job)
                 self._log("car_at_bay", -1, job.car, event.bay, {"request": job.number})
+            elif isinstance(event, FaultReport):
+                self._fault(event)
             else:
                 job = self.garage.car_left(event.bay, self.now_s)
                 self._log("car_left", -1, job.car, event.bay, {"request": job.number})
@@ -225,6 +230,16 @@ class _Run:
             self._next_phase()
         while self._pending and self._pending[-1].time_s + self._phase_start_s <= self.now_s:
             self._request(self._pending.pop())
+
+    def _fault(self, fault: FaultReport) -> None:
+        """Write a fault down, and tell the controller if it would learn of it."""
+        detail: dict[str, object] = {"fault": fault.number, "cause": fault.kind}
+        if fault.started:
+            detail |= {"agvs": fault.agvs, "vertices": fault.vertices}
+        agv, vertex = (*fault.agvs, -1)[0], (*fault.vertices, -1)[0]
+        self._log("fault_start" if fault.started else "fault_end", agv, "", vertex, detail)
+        if fault.kind in REPORTED:
+            self.acs.report(fault)
 
     def _next_phase(self) -> None:
         if self._phase + 1 < len(self.world.demand.phases):
@@ -244,7 +259,12 @@ class _Run:
         no_more = not self._pending and self._phase + 1 >= len(self.world.demand.phases)
         if self.world.scenario.duration_s is not None:
             return False
-        return no_more and self.garage.unfinished == 0 and not self.acs.planning.resolving
+        if not no_more or self.garage.unfinished or self.acs.planning.resolving:
+            return False
+        if self._last_task < 0:
+            self._last_task = self.step
+        idle = all(agv.mode is AgvMode.IDLE for agv in self.acs.agvs)
+        return idle or self.step - self._last_task >= self.world.rules.run_on_steps
 
     def _stalled(self) -> bool:
         mark = (sum(self.acs.executor.moves), self.garage.unfinished)

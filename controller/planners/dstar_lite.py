@@ -192,7 +192,7 @@ def _change(
     counters: Counts,
 ) -> None:
     """Close and open vertices until ``closed`` is as wanted, and make rhs and the queue right again."""
-    g, rhs, closed, U, meta = memory
+    g, rhs, closed, _, meta = memory
     for v in range(len(wanted)):
         if closed[v] == wanted[v]:
             continue

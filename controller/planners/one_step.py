@@ -1,8 +1,8 @@
 """One move at a time, around temporary obstacles: the planning procedure of the thesis's A* and D* Lite (2025, III-3).
 
 Agents are planned in order of priority. For each of them the next places of those planned before it and the present
-places of those planned after it are obstacles for the moment; a search of single-agent paths around them yields the next
-move. Agents that turn or act are left alone and stay an obstacle where they are.
+places of those planned after it are obstacles for the moment; a search of single-agent paths around them yields the
+next move. Agents that turn or act are left alone and stay an obstacle where they are.
 
 Guarantee: the moves of one call are free of conflicts; the thesis's final conflict resolution has nothing left to do.
 Limits: nothing beyond the next move is looked at: agents may block each other for ever, which is for deadlock handling
