@@ -222,10 +222,15 @@ class SumoPlant:
     def samples(self) -> Sequence[AgvSample]:
         """Where each AGV is now."""
         speed = self._api.vehicle.getSpeed
+        fronts = self._place.T.tolist()
+        half = (self._length / 2).tolist()
         return [
-            AgvSample(i, x, y, _half_turn(math.degrees(angle)), speed(self._agvs[i].name) if i in self._moving else 0.0)
-            for i, (x, y, angle) in enumerate(self._place.T.tolist())
-        ]
+            AgvSample(
+                i, x - half[i] * math.cos(angle), y - half[i] * math.sin(angle), _half_turn(math.degrees(angle)),
+                speed(self._agvs[i].name) if i in self._moving else 0.0,
+            )
+            for i, (x, y, angle) in enumerate(fronts)
+        ]  # fmt: skip
 
     def close(self) -> None:
         """End SUMO and release its files; safe to call twice."""
