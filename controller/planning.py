@@ -151,8 +151,10 @@ class Planning:
         self.counters.add(result.counters)
 
     def _under_way(self) -> bool:
+        if self._ladder.resolving:
+            return True
         if self._complete:
-            return bool(self._to_plan()) or self._ladder.resolving
+            return bool(self._to_plan())
         return any(agv.goal != a.last or a.pending for agv, a in zip(self._agvs, self._executor.agvs, strict=True))
 
     def _to_plan(self) -> list[Agv]:

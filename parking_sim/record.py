@@ -157,7 +157,8 @@ KINDS: Mapping[str, str] = {
     "agv_mode": "an AGV changes its state: from, to",
     "plan_partial": "a planning call left agents without a path: failed (AGV numbers)",
     "plan_rejected": "a plan was refused by the executor's check: reason",
-    "deadlock_found": "AGVs wait for each other in a ring: deadlock (number), members (AGV numbers), cause",
+    "deadlock_found": "AGVs wait for each other or come no nearer to their goals: deadlock (number), members (AGV "
+    "numbers), cause (ring, idle or stuck), waits (AGV -> AGV it waits for), wants (AGV -> name of the next vertex)",
     "deadlock_resolved": "a deadlock is over: deadlock, members, cause, stage (what resolved it), "
     "cost_s (seconds since it was found)",
     "stage_failed": "a stage of the resolution made no progress: deadlock, stage, reason",
