@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+from parking_sim import studies
 from parking_sim.errors import InputError
 from parking_sim.folders import check_folder
+from parking_sim.reproduce import app as reproduce_app
 
 if TYPE_CHECKING:
     from parking_sim.simulation import Progress, Summary
@@ -33,6 +35,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+app.add_typer(reproduce_app, name="reproduce")
+
+
+for _study in (studies.sweep, studies.compare, studies.size, studies.tune, studies.profiles, studies.fit_profile):
+    app.command()(_study)
 
 
 class PlantName(StrEnum):
@@ -112,45 +119,6 @@ def demo(
     from parking_sim.demo import run_demo
 
     raise typer.Exit(run_demo(out or Path("runs/demo"), force or out is None, quiet))
-
-
-Workers = Annotated[int | None, typer.Option(help="Processes on this machine; default: one a core.")]
-Scheduler = Annotated[str | None, typer.Option(help="A dask scheduler instead, such as tcp://host:8786.")]
-
-
-@app.command()
-def sweep(
-    plan: Annotated[Path, typer.Argument(help="A sweep file (.yaml): base, grid, list, seeds.")],
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    out: Annotated[Path | None, typer.Option(help="Folder of the sweep; default: runs/ and the file's name.")] = None,
-    report: Annotated[bool, typer.Option(help="Write an HTML report.")] = True,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
-) -> None:
-    """Run many scenarios; what is done already is skipped, so that a stopped sweep goes on."""
-    from parking_sim.executors import open_executor
-    from parking_sim.progress import SweepBar
-    from parking_sim.sweep import sweep as run_sweep
-    from parking_sim.sweep_plan import label, load_sweep
-
-    specs = load_sweep(plan)
-    folder = out or Path("runs") / plan.stem
-    with open_executor(workers, scheduler) as executor, SweepBar(quiet) as bar:
-        failures = run_sweep(specs, folder, executor, bar.update)
-    for failure in failures:
-        print(
-            f"failed: {label(failure.spec.varied)} seed={failure.spec.scenario.seed}: {failure.error}", file=sys.stderr
-        )
-    done = len(specs) - len(failures)
-    if not quiet:
-        print(f"{done} of {len(specs)} runs: {folder}")
-    if report and done:
-        from analysis.sweep_report import write_sweep_report
-
-        page = write_sweep_report(folder)
-        if not quiet:
-            print(f"report: {page}")
-    raise typer.Exit(UNFINISHED if failures else 0)
 
 
 @app.command()
