@@ -14,6 +14,7 @@ import numpy as np
 from controller.costs import Costs
 from controller.dispatch import Rule, choose_slot
 from controller.executor import Executor
+from controller.faults import CLOSING, FaultReport, Outages
 from controller.fleet import FREE_MODES, Agv
 from controller.garage import Garage, Job
 from controller.planning import ControlOptions, Mask, Planning
@@ -71,6 +72,7 @@ class Acs:
         self.planning = Planning(
             setup.planner, setup.options, self.agvs, self.executor, setup.rules, self.costs, self.log
         )
+        self.outages = Outages()
         self._claims: dict[int, int] = {}
         self._attend: set[int] = set()
         self._low: set[int] = set()
@@ -101,10 +103,10 @@ class Acs:
         self._work_at_goals()
         if self.garage.handover == "bay":
             self._commands += self.garage.board(self._now_s)
-            self._commands += self.garage.call_forward()
+            self._commands += self.garage.call_forward(self.outages.closed)
         self._send_charging(changed)
         self._dispatch()
-        self.planning.step(step, self.garage.blocked, self._no_rest)
+        self.planning.step(step, self._blocked(), self._no_rest)
         self._commands += self.executor.grants(step)
         return self._commands
 
@@ -179,7 +181,7 @@ class Acs:
             job.destination = agv.home
             self._set_goal(agv, agv.home)
             return
-        free = [b for b in self.graph.bays if b not in self._claims]
+        free = [b for b in self.graph.bays if b not in self._claims and b not in self.outages.closed]
         if not free:
             return
         here = self.executor.agvs[agv.number].last
@@ -209,6 +211,8 @@ class Acs:
     # --- assignment -----------------------------------------------------------------------------------------------
 
     def _available(self, agv: Agv) -> bool:
+        if agv.immobile or agv.off_duty:
+            return False
         if self.rules.assign_on_return:
             return agv.mode in FREE_MODES and agv.action is None
         return agv.mode is AgvMode.IDLE
@@ -218,10 +222,11 @@ class Acs:
         if not (self.garage.unfinished or self.rules.charge_unasked):
             return
         for agv in [self.agvs[n] for n in sorted(self._low)]:
-            if agv.soc <= self.rules.charge_below and agv.mode in FREE_MODES and agv.action is None:
+            free_to_go = agv.mode in FREE_MODES and agv.action is None and not (agv.immobile or agv.off_duty)
+            if agv.soc <= self.rules.charge_below and free_to_go:
                 here = self.executor.agvs[agv.number].last
                 may = self.rules.charge_anywhere or here == agv.home or here in self.garage.slot_of
-                free = [c for c in self.graph.chargers if c not in self._claims]
+                free = [c for c in self.graph.chargers if c not in self._claims and c not in self.outages.closed]
                 if free and may:
                     charger = min(free, key=lambda c: int(self.costs.to(c)[here]))
                     self._claims[charger] = agv.number
@@ -278,7 +283,76 @@ class Acs:
         if self._claims.get(agv.goal) == agv.number:
             del self._claims[agv.goal]
 
+    # --- faults ---------------------------------------------------------------------------------------------------
+
+    def report(self, fault: FaultReport) -> None:
+        """Take note of a fault that begins or ends, and answer it; see ``controller.faults``."""
+        self.outages.take(fault)
+        self.executor.close(self.outages.closed)
+        self.garage.close(self.outages.closed)
+        for n in fault.agvs:
+            agv = self.agvs[n]
+            agv.immobile, agv.off_duty = n in self.outages.immobile, n in self.outages.off_duty
+            if agv.off_duty:
+                self._give_back(agv)
+            self._attend.add(n)
+        if fault.started and fault.kind in CLOSING:
+            for agv in self.agvs:
+                if agv.goal in fault.vertices and agv.goal not in self.executor.agvs[agv.number].trail:
+                    self._change_goal(agv)
+        self._drop_plans_through(self._in_the_way())
+        self.planning.goal_changed()
+
+    def _in_the_way(self) -> set[int]:
+        """Vertices closed, or held by AGVs that cannot move."""
+        return {*self.outages.closed, *(v for n in self.outages.immobile for v in self.executor.agvs[n].trail)}
+
+    def _drop_plans_through(self, vertices: set[int]) -> None:
+        for agv, a in zip(self.agvs, self.executor.agvs, strict=True):
+            if agv.immobile or vertices.intersection(a.pending):
+                self.executor.cancel(agv.number)
+
+    def _give_back(self, agv: Agv) -> None:
+        """Let others have the task of an AGV that has no car on it yet, and send it home."""
+        job = agv.job
+        if agv.mode is AgvMode.GOING_TO_COLLECT and job and agv.action is None:
+            self._release(agv)
+            self.garage.unassign(job)
+            agv.job = None
+            self.log("task_returned", agv.number, job.car, -1, {"request": job.number})
+        elif agv.mode is AgvMode.GOING_TO_CHARGE:
+            self._release(agv)
+            self._low.add(agv.number)
+        else:
+            return
+        self._set_mode(agv, AgvMode.RETURNING_HOME_EMPTY)
+        self._set_goal(agv, agv.home)
+
+    def _change_goal(self, agv: Agv) -> None:
+        """The goal is closed: take another one where there is one, else wait."""
+        job = agv.job
+        if agv.mode is AgvMode.GOING_TO_PARK and job:
+            slot = choose_slot(self.garage, self.executor.agvs[agv.number].last, job.request.zone, self.costs)
+            if slot >= 0:
+                self.garage.move_reservation(job, slot)
+                self._set_goal(agv, slot)
+        elif agv.mode is AgvMode.RETURNING_WITH_CAR and job and agv.goal in self.garage.bays:
+            self._release(agv)
+            job.destination = -1
+            self._set_goal(agv, self.executor.agvs[agv.number].last)
+            self._choose_bay(agv, job)
+            self._attend.add(agv.number)
+        else:
+            self._give_back(agv)
+
     # --- what planning has to know --------------------------------------------------------------------------------
+
+    def _blocked(self) -> Mask:
+        if not (self.outages.closed or self.outages.immobile):
+            return self.garage.blocked
+        mask = self.garage.blocked.copy()
+        mask[list(self._in_the_way())] = 1
+        return mask
 
     def _no_rest(self) -> Mask:
         mask = self._places.copy()

@@ -53,12 +53,12 @@ class Costs:
             self._tables.move_to_end(goal)
         return table
 
-    def around(self, start: int) -> IntArray:
-        """Steps from a vertex to each other one, shape (n,), by ways that pass no blocked vertex.
+    def around(self, start: int, blocked: NDArray[np.uint8] | None = None) -> IntArray:
+        """Steps from a vertex to each other one, shape (n,), by ways that pass no parked car, or no ``blocked`` vertex.
 
         A blocked vertex may be where a way ends. ``FOREVER`` where there is no way.
         """
-        table, expanded = _dijkstra(start, self._blocked, *self._out_of)
+        table, expanded = _dijkstra(start, self._blocked if blocked is None else blocked, *self._out_of)
         self.expanded += expanded
         return table
 

@@ -102,7 +102,7 @@ def choose_slot(garage: Garage, origin: int, zone: str, costs: Costs, around_car
         costs: driving costs.
         around_cars: count the way from there around parked cars, instead of the way back with all slots passable.
     """
-    free = garage.slots[garage.slot_free]
+    free = garage.slots[garage.slot_free & garage.slot_open]
     if zone:
         wanted = np.array([garage.graph.names[v].startswith(zone) for v in free], dtype=np.bool_)
         free = free[wanted] if wanted.any() else free

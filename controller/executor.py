@@ -41,6 +41,7 @@ class Authority:
         turned_to: vertex it has turned towards, -1 when it has not.
         since: step of the last change of ``reached``.
         loaded: it carries a car.
+        able: it takes orders; nothing is granted to one that does not.
     """
 
     trail: deque[int]
@@ -54,6 +55,7 @@ class Authority:
     turned_to: int = -1
     since: int = 0
     loaded: bool = False
+    able: bool = True
 
     @property
     def last(self) -> int:
@@ -91,8 +93,14 @@ class Executor:
         self.order: dict[int, deque[int]] = {}
         self.moves = [0] * len(starts)
         self.distance_m = [0.0] * len(starts)
+        self.closed: frozenset[int] = frozenset()
         self._due: set[int] = set()
         self._seen: list[AgvState | None] = [None] * len(starts)
+
+    def close(self, vertices: frozenset[int]) -> None:
+        """Grant these vertices to nobody until this is called again; who stands there may leave."""
+        self.closed = vertices
+        self._due.update(range(len(self.agvs)))
 
     def accept(self, paths: Mapping[int, Path]) -> Refusal | None:
         """Replace all visiting orders by a plan; AGVs without a path keep their place.
@@ -137,6 +145,9 @@ class Executor:
                 self._free(s.agv, a.trail.popleft())
             if s.reached != a.reached:
                 a.reached, a.since = s.reached, step
+                self._due.add(s.agv)
+            if s.able != a.able:
+                a.able = s.able
                 self._due.add(s.agv)
             standing = s.standing and a.reached == a.granted
             if standing != a.standing:
@@ -189,7 +200,7 @@ class Executor:
     def _extend(self, agv: int, step: int, commands: list[Command]) -> None:
         a = self.agvs[agv]
         run: list[int] = []
-        while a.pending and a.acting_until < 0 and a.granted - a.reached < self.lookahead:
+        while a.pending and a.able and a.acting_until < 0 and a.granted - a.reached < self.lookahead:
             w = a.pending[0]
             edge = self.graph.edge_index[a.last, w]
             if a.in_edge >= 0:
@@ -220,7 +231,7 @@ class Executor:
             commands.append(Advance(agv, tuple(run)))
 
     def _claim(self, agv: int, vertex: int) -> bool:
-        if self.owner[vertex] not in (-1, agv) or self.order[vertex][0] != agv:
+        if self.owner[vertex] not in (-1, agv) or self.order[vertex][0] != agv or vertex in self.closed:
             return False
         self.order[vertex].popleft()
         self.owner[vertex] = agv

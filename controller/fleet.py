@@ -32,6 +32,8 @@ class Agv:
         action: action under way at the goal.
         soc: state of charge, 0 to 1.
         tasks: tasks done.
+        immobile: it has reported a fault and cannot move.
+        off_duty: it gets no task until its fault is repaired.
     """
 
     number: int
@@ -42,6 +44,8 @@ class Agv:
     action: Action | None = None
     soc: float = 1.0
     tasks: int = 0
+    immobile: bool = False
+    off_duty: bool = False
 
 
 def priority(agv: Agv, stuck: int) -> int:

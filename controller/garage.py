@@ -102,6 +102,7 @@ class Garage:
         self.slot_of: dict[int, str] = dict.fromkeys(graph.slots, "")
         self.slots = np.array(graph.slots, dtype=np.int32)
         self.slot_free: NDArray[np.bool_] = np.ones(len(graph.slots), dtype=np.bool_)
+        self.slot_open: NDArray[np.bool_] = np.ones(len(graph.slots), dtype=np.bool_)
         self._slot_number = {slot: k for k, slot in enumerate(graph.slots)}
         self.reserved: dict[int, int] = {}
         self.blocked: NDArray[np.uint8] = np.zeros(len(graph.names), dtype=np.uint8)
@@ -240,7 +241,20 @@ class Garage:
             self.reserved.pop(job.destination)
             self.slot_free[self._slot_number[job.destination]] = True
         job.agv, job.destination, job.assigned_s = -1, -1, nan
+        if job.is_park and self.handover == "home":
+            job.origin = -1
         self.open.insert(0, job)
+
+    def move_reservation(self, job: Job, slot: int) -> None:
+        """Reserve another slot for a car on its way to one."""
+        self.reserved[slot] = self.reserved.pop(job.destination)
+        self.slot_free[self._slot_number[job.destination]] = True
+        self.slot_free[self._slot_number[slot]] = False
+        job.destination = slot
+
+    def close(self, vertices: frozenset[int]) -> None:
+        """Let no slot among these be chosen until this is called again."""
+        self.slot_open[:] = [slot not in vertices for slot in self.graph.slots]
 
     def lifted(self, job: Job, now_s: float) -> None:
         """The car is on the AGV."""

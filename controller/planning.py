@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from time import perf_counter
 
@@ -160,7 +160,7 @@ class Planning:
     def _to_plan(self) -> list[Agv]:
         """AGVs to plan for: with complete paths those whose path does not end at their goal, else all that can."""
         locked = self._ladder.locked
-        free = [agv for agv in self._agvs if agv.number not in locked]
+        free = [agv for agv in self._agvs if agv.number not in locked and not agv.immobile]
         if not self._complete:
             return free
         ends = [a.pending[-1] if a.pending else a.last for a in self._executor.agvs]
@@ -168,10 +168,11 @@ class Planning:
 
     def _problem(self, step: int, blocked: Mask, no_rest: Mask) -> PlanningProblem:
         ex, locked = self._executor, self._ladder.locked
-        fixed = trails(ex, step)
-        if locked or self._complete:
+        immobile = {agv.number for agv in self._agvs if agv.immobile}
+        fixed = trails(ex, step, immobile)
+        if locked or immobile or self._complete:
             timed = retime(ex, step)
-            fixed += [path for n, path in timed.items() if self._complete or n in locked]
+            fixed += [path for n, path in timed.items() if self._complete or n in locked or n in immobile]
         agents = tuple(self._agent(agv, step) for agv in self._to_plan())
         window = FOREVER if self._complete else self._window * self._rules.cell_steps
         return PlanningProblem(ex.graph, ex.motion, agents, tuple(fixed), blocked, no_rest, window)
@@ -184,7 +185,8 @@ class Planning:
         ready = self._executor.ready_step(agv.number, step)
         dwell = self._rules.lift_bay
         rank = priority(agv, stuck)
-        return PlanAgent(agv.number, a.last, a.in_edge, ready, agv.goal, a.loaded, dwell, rank, a.turned_to)
+        goal = a.last if agv.goal in self._executor.closed else agv.goal
+        return PlanAgent(agv.number, a.last, a.in_edge, ready, goal, a.loaded, dwell, rank, a.turned_to)
 
     def _take(self, step: int, problem: PlanningProblem, result: PlanResult) -> None:
         paths = {path.agv: path for path in problem.fixed if path.agv < TRAIL} | dict(result.paths)
@@ -197,9 +199,19 @@ class Planning:
     def _watch(self, step: int, problem: PlanningProblem) -> None:
         """Look for deadlock among those who really wait, adapt the window, and have deadlocks resolved."""
         waits = wait_graph(self._executor, self._agvs, self._costs)
-        self._progress.update(step)
+        self._progress.update(step, self._cut_off(problem))
         self._adapt(waits)
         self._ladder.step(step, waits, problem)
+
+    def _cut_off(self, problem: PlanningProblem) -> set[int]:
+        """AGVs whose goal is closed, or can't be reached because of closed vertices and AGVs that cannot move."""
+        ex = self._executor
+        if not ex.closed and not any(agv.immobile for agv in self._agvs):
+            return set()
+        at = {agv.number: ex.agvs[agv.number].last for agv in self._agvs if not agv.immobile}
+        ways = {n: self._costs.around(v, problem.blocked) for n, v in at.items()}
+        goals = {agv.number: agv.goal for agv in self._agvs}
+        return {n for n, steps in ways.items() if goals[n] in ex.closed or steps[goals[n]] >= FOREVER}
 
     def _adapt(self, waits: WaitGraph) -> None:
         o = self._options
@@ -210,14 +222,16 @@ class Planning:
             self._window = max(o.window_min, self._window - o.window_step)
 
 
-def trails(executor: Executor, step: int) -> list[Path]:
+def trails(executor: Executor, step: int, immobile: Collection[int] = ()) -> list[Path]:
     """What moving AGVs still hold before the end of their authority, as places that others must keep clear of.
 
     They stand under numbers of their own (``TRAIL`` + AGV), since the AGV's own path starts where its authority ends.
+    AGVs that are ``immobile`` keep all of it for ever.
     """
     paths = []
     for agv, a in enumerate(executor.agvs):
         if len(a.trail) > 1:
             held = list(zip(a.trail, executor.leave_steps(agv, step), strict=True))[:-1]
-            paths += [Path(TRAIL + agv, (v,), (0,), (), until) for v, until in held]
+            stays = agv in immobile
+            paths += [Path(TRAIL + agv, (v,), (0,), (), FOREVER if stays else until) for v, until in held]
     return paths

@@ -82,6 +82,7 @@ class AgvState:
         left: number of the first granted vertex that its body may still touch; all before it are free of it.
         standing: it stands at the last granted vertex and no action is under way.
         soc: state of charge of the battery, 0 to 1.
+        able: it can take orders; a fault that it reports makes it unable.
     """
 
     agv: int
@@ -89,6 +90,7 @@ class AgvState:
     left: int
     standing: bool
     soc: float = 1.0
+    able: bool = True
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails
 from demand.park_exit import ParkExit
 from demand.workloads import WORKLOADS, WorkloadConfig
 from parking_sim.errors import InputError
+from parking_sim.fault_config import FaultConfig
 from sumo_nets.read import shipped_nets
 
 #: AGVs of the shipped garages when nothing else is said.
@@ -155,6 +156,7 @@ class Scenario(_Options):
     control: ControlConfig = Field(default_factory=ControlConfig, description="clock, window and limits")
     agv: AgvConfig = Field(default_factory=AgvConfig, description="the AGVs' speeds, size and battery")
     customers: CustomerConfig = Field(default_factory=CustomerConfig, description="the customers and their cars")
+    faults: FaultConfig = Field(default_factory=FaultConfig, description="what goes wrong")
     record: RecordConfig = Field(default_factory=RecordConfig, description="what is written down")
 
     _base_dir: Path = PrivateAttr(default=Path())

@@ -167,8 +167,10 @@ KINDS: Mapping[str, str] = {
     "grant": "an AGV may drive on (recorded on request): vertices",
     "overlap": "the footprints of two bodies overlap: others (AGV numbers or cars), clearance_m",
     "collision": "SUMO reports a collision: others",
-    "fault_start": "an AGV stands still by a fault: cause",
-    "fault_end": "an AGV works again",
+    "task_returned": "a broken AGV, or one whose goal is closed, gives its task back: request",
+    "fault_start": "something goes wrong, see parking_sim.fault_config: fault (number), cause, agvs (AGV numbers), "
+    "vertices (row numbers in vertices)",
+    "fault_end": "it is over: fault, cause",
 }
 
 #: Keys of ``run.json`` that the analysis knows -> (unit, meaning). Others are kept and shown as they are. Keys that

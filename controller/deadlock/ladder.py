@@ -168,8 +168,8 @@ class Ladder:
         return found
 
     def _moves(self, n: int) -> bool:
-        """It drives or acts, so that those behind it stand in a queue and in no deadlock."""
-        return not self._executor.agvs[n].standing
+        """It drives, acts or is broken, so that those behind it stand in a queue and in no deadlock."""
+        return not self._executor.agvs[n].standing or self._agvs[n].immobile
 
     @staticmethod
     def _waiting_line(first: int, waits: WaitGraph) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ the garage, and all are found here:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 
 import networkx as nx
@@ -97,7 +97,8 @@ def _behind_idle(edges: Mapping[int, int], executor: Executor, agvs: Sequence[Ag
             end = edges[end]
             seen.add(end)
         a = executor.agvs[end]
-        if end not in edges and a.standing and a.acting_until < 0 and not a.pending and agvs[end].goal == a.last:
+        has_nothing_to_do = a.standing and a.acting_until < 0 and not a.pending and agvs[end].goal == a.last
+        if end not in edges and has_nothing_to_do and not agvs[end].immobile:
             chains.setdefault(end, [end]).append(first)
     return tuple(tuple(chain) for _, chain in sorted(chains.items()))
 
@@ -128,14 +129,15 @@ class Progress:
         self._complete = complete
         self._best = {agv.number: _Best(agv.goal, 0, 0) for agv in agvs}
 
-    def update(self, step: int) -> None:
-        """Take note of where the AGVs are."""
+    def update(self, step: int, cut_off: Container[int] = ()) -> None:
+        """Take note of where the AGVs are; those ``cut_off`` by a fault wait for its end, which is no deadlock."""
         for agv in self._agvs:
             best, a = self._best[agv.number], self._executor.agvs[agv.number]
             cost = int(self._costs.to(agv.goal)[a.last])
             acting = a.acting_until >= 0 or agv.action is not None or agv.goal == a.last
             planned = self._complete and bool(a.pending) and a.pending[-1] == agv.goal
-            if acting or planned or agv.goal != best.goal or cost < best.cost:
+            faulty = agv.immobile or agv.number in cut_off
+            if acting or planned or faulty or agv.goal != best.goal or cost < best.cost:
                 best.goal, best.cost, best.since = agv.goal, cost, step
 
     def stuck(self, step: int, steps: int) -> list[int]:

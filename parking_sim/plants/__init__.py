@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from controller.faults import FaultReport
 from controller.types import AgvState, Command, Motion
 from sumo_nets.graph import Graph
 
@@ -26,7 +27,7 @@ class CarLeft:
     bay: int
 
 
-PlantEvent = CarAtBay | CarLeft
+PlantEvent = CarAtBay | CarLeft | FaultReport
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,7 @@ class Plant(Protocol):
         """One state for each AGV, in their order."""
 
     def events(self) -> Sequence[PlantEvent]:
-        """What happened with customers' cars in the last step."""
+        """What happened with customers' cars in the last step, and which faults began or ended."""
 
     def arrive(self, car: str) -> None:
         """A customer comes to the garage and joins the queue in the street."""

@@ -28,7 +28,8 @@ class DiscretePlant:
         self._target = [-1] * len(starts)
         self._timer = [0] * len(starts)
         self._action: list[Action | None] = [None] * len(starts)
-        self._cells = [0] * len(starts)
+        self._cells = [0.0] * len(starts)
+        self._held = [False] * len(starts)
         self._charge_after = charge_after_cells
         self._events: list[PlantEvent] = []
         self._next: list[PlantEvent] = []
@@ -39,7 +40,7 @@ class DiscretePlant:
         rows = zip(self._count, self._timer, self._cells, strict=True)
         return [AgvState(i, n, n, t == 0, self._soc(cells)) for i, (n, t, cells) in enumerate(rows)]
 
-    def _soc(self, cells: int) -> float:
+    def _soc(self, cells: float) -> float:
         return round(1.0 - (1.0 - CHARGE_BELOW) * cells / self._charge_after, 9)
 
     def events(self) -> Sequence[PlantEvent]:
@@ -83,12 +84,23 @@ class DiscretePlant:
                 self._target[agv] = -1
                 self._count[agv] += 1
                 self._cells[agv] += 1
-            elif self._timer[agv]:
+            elif self._timer[agv] and not self._held[agv]:
                 self._timer[agv] -= 1
                 if self._timer[agv] == 0 and self._action[agv] is Action.CHARGE:
                     self._cells[agv] = 0
         self._events, self._next = self._next, []
         self.time_s += self.motion.step_s
+
+    def hold(self, agv: int, held: bool) -> None:
+        """Stop what an AGV does while it stands, or let it go on; a move already granted is made in any case."""
+        self._held[agv] = held
+
+    def limit(self, agv: int, share: float) -> None:
+        """Nothing: a move takes a tick, and who is slower waits before it."""
+
+    def set_soc(self, agv: int, soc: float) -> None:
+        """Set the state of charge of an AGV's battery, 0 to 1."""
+        self._cells[agv] = (1.0 - soc) / (1.0 - CHARGE_BELOW) * self._charge_after
 
     def samples(self) -> Sequence[AgvSample]:
         """Where each AGV is now."""

@@ -60,7 +60,7 @@ class _Agv:
 
     __slots__ = (
         "acting", "applied", "at_m", "edges", "k", "left", "name", "near_end", "on_junction", "pending", "reached",
-        "rear_m", "road", "soc", "stopped",
+        "rear_m", "road", "share", "soc", "stopped",
     )  # fmt: skip
 
     def __init__(self, name: str, edge: int, road: str, rear_m: float) -> None:
@@ -79,6 +79,7 @@ class _Agv:
         self.pending = False  # granted further than ``applied``
         self.acting: Act | None = None
         self.soc = 1.0
+        self.share = 1.0  # of its top speed
 
 
 class SumoPlant:
@@ -199,6 +200,9 @@ class SumoPlant:
             PlantError: SUMO refuses something, or its window was closed.
         """
         try:
+            for i in self._held & self._actions.keys():
+                self._actions[i] += 1
+                self._due = min(self._actions.values())
             for i in sorted(self._waiting):
                 self._extend(i)
             self._customers.before_step()
@@ -253,6 +257,38 @@ class SumoPlant:
         x, y, angle = self._place.copy()
         return Bodies(x, y, angle, self._length, self._width, self._loaded.copy())
 
+    # ------------------------------------------------------------------ faults
+
+    def hold(self, agv: int, held: bool) -> None:
+        """Brake an AGV to a stand and stop what it does, or let it go on.
+
+        Raises:
+            PlantError: SUMO refuses it.
+        """
+        (self._held.add if held else self._held.discard)(agv)
+        self._guard(lambda: self._api.vehicle.setSpeed(self._agvs[agv].name, 0.0 if held else -1.0))
+
+    def limit(self, agv: int, share: float) -> None:
+        """Let an AGV drive at a share of its top speed from now on.
+
+        Raises:
+            PlantError: SUMO refuses it.
+        """
+        self._agvs[agv].share = share
+        self._guard(lambda: self._set_speed(agv))
+
+    def set_soc(self, agv: int, soc: float) -> None:
+        """Set the state of charge of an AGV's battery, 0 to 1.
+
+        Raises:
+            PlantError: SUMO refuses it.
+        """
+        a = self._agvs[agv]
+        level = f"{soc * self.agv_type.battery_wh:g}"
+        self._guard(lambda: self._api.vehicle.setParameter(a.name, "device.battery.chargeLevel", level))
+        a.soc = soc
+        self._report(agv, self._states[agv].standing)
+
     # ------------------------------------------------------------------ start
 
     def _read_lanes(self, garage: GarageNet) -> None:
@@ -300,6 +336,7 @@ class SumoPlant:
         self._moving: set[int] = set()
         self._waiting: set[int] = set()
         self._actions: dict[int, int] = {}
+        self._held: set[int] = set()
         self._states = [AgvState(i, 0, 0, True, 1.0) for i in range(n)]
         vehicle = self._api.vehicle
         for _ in range(START_STEPS):
@@ -466,6 +503,12 @@ class SumoPlant:
     def _load(self, i: int, loaded: bool) -> None:
         self._loaded[i] = loaded
         self._api.vehicle.setType(self._agvs[i].name, LOADED if loaded else EMPTY)
+        if self._agvs[i].share != 1.0:
+            self._set_speed(i)
+
+    def _set_speed(self, i: int) -> None:
+        a = self._agvs[i]
+        self._api.vehicle.setMaxSpeed(a.name, self.agv_type.speed_mps(bool(self._loaded[i])) * a.share)
 
     def _execute_customer(self, command: CallForward | HandOver | DriveOff) -> None:
         if isinstance(command, CallForward):
