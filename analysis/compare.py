@@ -272,3 +272,35 @@ def table_rows(comparison: Comparison) -> list[Mapping[str, str]]:
         }
         for d in comparison.differences
     ]
+
+
+def write_comparison(comparison: Comparison, path: Path) -> Path:
+    """Write the figure of a comparison.
+
+    Args:
+        comparison: see :func:`compare`.
+        path: file to write, .svg or .png.
+
+    Returns:
+        ``path``.
+
+    Raises:
+        InputError: it can't be written.
+    """
+    from analysis.figures import style
+
+    try:
+        with style():
+            draw_comparison(comparison).savefig(path, dpi=160)
+    except OSError as error:
+        raise InputError(f"--figure: {path}: can't be written: {error.strerror}") from None
+    return path
+
+
+def variant_names(a: str, b: str) -> tuple[str, str]:
+    """Short names of two variants that differ: what follows the colon, or the folder's name, or all that was given."""
+    for short in (lambda c: c.partition(":")[2], lambda c: Path(c.partition(":")[0]).name):
+        names = (short(a), short(b))
+        if all(names) and names[0] != names[1]:
+            return names
+    return a, b

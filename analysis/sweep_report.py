@@ -48,11 +48,13 @@ class Variant:
     means: Mapping[str, Interval]
 
 
-def write_sweep_report(folder: Path) -> Path:
+def write_sweep_report(folder: Path, answer: str = "", answer_drawings: Sequence[Drawing] = ()) -> Path:
     """Write ``report.html`` into the folder of a sweep.
 
     Args:
         folder: folder of a sweep with one finished run at least.
+        answer: what comes before everything else, such as the answer of a sizing.
+        answer_drawings: figures to it.
 
     Returns:
         Path of the report.
@@ -69,10 +71,10 @@ def write_sweep_report(folder: Path) -> Path:
     page = environment().get_template("sweep.html").render(
         title=f"Sweep {folder.resolve().name}",
         asked=_asked(runs, frame),
-        headlines=_headlines(runs, variants, frame),
+        headlines=[*([answer] if answer else ()), *_headlines(runs, variants, frame)],
         heads=[*runs.varied, "runs", *(f"{MEASURES[key].words} ({MEASURES[key].unit})" for key in SHOWN)],
         rows=[_row(variant) for variant in variants],
-        drawings=_drawings(variants, runs.varied),
+        drawings=[*answer_drawings, *_drawings(variants, runs.varied)],
         checks=_checks(frame),
         failures=[{**failure, "varied": _words(failure["varied"])} for failure in runs.failures],
         code=json.loads(plan.read_text(encoding="utf-8"))["code"] if plan.is_file() else "",

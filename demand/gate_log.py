@@ -70,12 +70,13 @@ def read_gate_log(path: Path) -> GateLog:
             columns = reader.fieldnames or ()
             if not {"time", "event"} <= set(columns):
                 raise InputError(f"{path}: row 1: {','.join(columns)!r}: the columns are time, event (in or out), car")
-            rows = sorted(_movement(row, reader.line_num, path) for row in reader)
+            rows = [_movement(row, reader.line_num, path) for row in reader]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = (error.strerror if isinstance(error, OSError) else None) or " ".join(str(error).split())
         raise InputError(f"{path}: can't be read as a CSV file: {reason}") from None
     if not rows:
         raise InputError(f"{path}: has no movements")
+    rows.sort(key=lambda row: (row[0], -row[1]))  # of the same moment: in before out
     start = datetime.combine(rows[0][0].date(), datetime.min.time())
     hours = np.array([(time - start) / timedelta(hours=1) for time, _ in rows])
     return GateLog(start.date(), hours, np.array([float(step) for _, step in rows]))

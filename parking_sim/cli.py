@@ -9,7 +9,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -86,6 +86,9 @@ def run(
     gui: Annotated[bool, typer.Option("--gui", help="Watch it in sumo-gui.")] = False,
     fcd: Annotated[bool, typer.Option("--fcd", help="Write SUMO's floating car data as well.")] = False,
     report: Annotated[bool, typer.Option(help="Write an HTML report.")] = True,
+    replay: Annotated[
+        bool | None, typer.Option("--replay/--no-replay", help="Write an HTML replay; default: as record.replay says.")
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
 ) -> None:
     """Run one scenario and write its record."""
@@ -103,10 +106,26 @@ def run(
 
     with _progress_bar(name, quiet) as progress:
         summary = simulate(loaded, folder, gui=gui, fcd=fcd, progress=progress)
-    page = _write_report(folder) if report else None
+    replayed = loaded.record.replay if replay is None else replay
+    pages = _write_pages(folder, report, replayed)
     if not quiet:
-        _print_summary(summary, folder, page)
+        _print_summary(summary, folder, pages)
     raise typer.Exit(exit_code(summary.status, loaded.duration_s is not None))
+
+
+@app.command("replay")
+def replay_(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    start: Annotated[str | None, typer.Option("--from", help="Start at this time of the run: seconds or h:mm:ss.")] = None,
+    end: Annotated[str | None, typer.Option("--to", help="End at this time.")] = None,
+) -> None:
+    """Write the replay of a run: one HTML file to watch it in a browser, offline."""
+    from analysis.replay import write_replay
+
+    try:
+        print(write_replay(folder, _seconds("--from", start), _seconds("--to", end)))
+    except OSError as error:
+        raise InputError(f"{folder}: can't be written: {error.strerror}") from None
 
 
 @app.command()
@@ -267,13 +286,32 @@ def _progress_bar(name: str, quiet: bool) -> Iterator[Callable[[Progress], None]
         yield lambda progress: bars.update(name, progress)
 
 
-def _write_report(folder: Path) -> Path:
+def _seconds(option: str, text: str | None) -> float | None:
+    """A time of the run: seconds, m:ss or h:mm:ss."""
+    if text is None:
+        return None
+    parts = text.split(":")
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if not 1 <= len(values) <= 3 or not all(math.isfinite(value) and value >= 0 for value in values):
+        raise InputError(f"{option}: {text!r}: give seconds or h:mm:ss")
+    return sum(value * 60**k for k, value in enumerate(reversed(values)))
+
+
+def _write_pages(folder: Path, report: bool, replay: bool) -> dict[str, Path]:
+    """The pages asked for, by what they are; the replay first, so that the report finds it to link to."""
+    from analysis.replay import write_replay
     from analysis.report import write_report
 
-    return write_report(folder)
+    pages = {}
+    if replay:
+        pages["replay"] = write_replay(folder, report=report)
+    return {"report": write_report(folder), **pages} if report else pages
 
 
-def _print_summary(summary: Summary, folder: Path, page: Path | None) -> None:
+def _print_summary(summary: Summary, folder: Path, pages: Mapping[str, Path]) -> None:
     shown = (
         ("tasks_done", "tasks done"),
         ("tasks_wanted", "of"),
@@ -291,5 +329,5 @@ def _print_summary(summary: Summary, folder: Path, page: Path | None) -> None:
         if isinstance(value, int | float) and not math.isnan(value):
             print(f"  {words:26} {value:.6g}")
     print(f"record: {folder}")
-    if page is not None:
-        print(f"report: {page}")
+    for what, page in pages.items():
+        print(f"{what}: {page}")

@@ -25,7 +25,8 @@ _RANGE = re.compile(r"(\d+)(?:\.\.(\d+))?")
 
 #: Modules of ``parking_sim`` that start runs but take no part in them: a change there leaves finished runs valid.
 _AROUND_A_RUN = {
-    "cli", "demo", "doctor", "executors", "folders", "progress", "sizing", "sweep", "sweep_plan", "tuning",
+    "cli", "demo", "doctor", "executors", "folders", "progress", "reproduce", "sizing", "studies", "sweep",
+    "sweep_plan", "tuning",
 }  # fmt: skip
 _OF_ANALYSIS = {"metrics", "tables"}
 
@@ -68,7 +69,9 @@ def load_sweep(path: Path) -> tuple[RunSpec, ...]:
     variants = list(_variants(data, path))
     if not variants:
         raise InputError(f"{path}: give at least one variant")
-    scenarios = [check_scenario(_with(base, varied, path), f"{path}: {label(varied)}", base_dir) for varied in variants]
+    scenarios = [
+        check_scenario(set_keys(base, varied, str(path)), f"{path}: {label(varied)}", base_dir) for varied in variants
+    ]
     return make_runs(scenarios, variants, seeds)
 
 
@@ -150,7 +153,8 @@ def code_version() -> str:
 
     root = Path(__file__).parent.parent
     sources = [path for name in ("controller", "demand", "sumo_nets") for path in (root / name).rglob("*.py")]
-    sources += [path for path in (root / "parking_sim").rglob("*.py") if path.stem not in _AROUND_A_RUN]
+    own = root / "parking_sim"
+    sources += [p for p in own.rglob("*.py") if p.relative_to(own).parts[0].removesuffix(".py") not in _AROUND_A_RUN]
     sources += [root / "analysis" / f"{name}.py" for name in _OF_ANALYSIS]
     total = hashlib.sha256(json.dumps(versions(), sort_keys=True).encode())
     for path in sorted(sources):
@@ -191,8 +195,20 @@ def _variants(data: Mapping[str, object], path: Path) -> Iterator[dict[str, obje
             yield {**entry, **dict(zip(grid, values, strict=True))}
 
 
-def _with(base: Mapping[str, object], varied: Mapping[str, object], path: Path) -> dict[str, object]:
-    """The base scenario's keys with those of a variant, whose dots lead into groups of keys."""
+def set_keys(base: Mapping[str, object], varied: Mapping[str, object], source: str) -> dict[str, object]:
+    """A scenario's keys with some of them set.
+
+    Args:
+        base: keys of a scenario, nested.
+        varied: keys, whose dots lead into groups of keys -> values.
+        source: first words of a complaint.
+
+    Returns:
+        New keys.
+
+    Raises:
+        InputError: a key leads into one that is no group.
+    """
     data = copy.deepcopy(dict(base))
     for key, value in varied.items():
         *groups, last = str(key).split(".")
@@ -200,7 +216,7 @@ def _with(base: Mapping[str, object], varied: Mapping[str, object], path: Path) 
         for group in groups:
             nested = inner.setdefault(group, {})
             if not isinstance(nested, dict):
-                raise InputError(f"{path}: {key}: {group} has no keys below it")
+                raise InputError(f"{source}: {key}: {group} has no keys below it")
             inner = nested
         inner[last] = value
     return data

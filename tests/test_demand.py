@@ -53,7 +53,7 @@ def check_order(demand: Demand) -> None:
 
 
 def test_every_kind_is_in_the_table_under_its_own_name() -> None:
-    assert set(WORKLOADS) == {"park_exit", "poisson", "bursts", "zones", "csv"}
+    assert set(WORKLOADS) == {"park_exit", "poisson", "bursts", "zones", "csv", "profile"}
     assert all(model.model_fields["kind"].default == kind for kind, model in WORKLOADS.items())
 
 

@@ -1,0 +1,49 @@
+"""The curve of a sizing: the target's measure against the number of AGVs."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from analysis.figures import BLUE, GREY, RED, Drawing, new_figure, style, svg
+
+if TYPE_CHECKING:
+    from parking_sim.sizing import Sizing
+
+
+def size_curve(sizing: Sizing) -> Drawing:
+    """Draw what each fleet size that was tried reaches, with intervals and the limit.
+
+    Args:
+        sizing: the answer, see ``parking_sim.sizing``.
+
+    Returns:
+        The figure for a page.
+    """
+    with style():
+        figure, (axes,) = new_figure(3.0)
+        for tried in sizing.tried:
+            mean = tried.mean
+            half = mean.half if math.isfinite(mean.half) else 0.0
+            axes.errorbar(tried.agvs, mean.mean, half, color=BLUE if tried.meets else GREY, marker="o", capsize=3)
+        axes.plot([t.agvs for t in sizing.tried], [t.mean.mean for t in sizing.tried], color=GREY, linewidth=1)
+        axes.axhline(sizing.target.limit_s, color=RED, linestyle="--", label=f"{sizing.target.limit_s:g} s")
+        axes.set_xticks([tried.agvs for tried in sizing.tried])
+        axes.set_xlabel("AGVs")
+        axes.set_ylabel(f"{sizing.target.words.partition(' <')[0]}, s")
+        axes.set_ylim(bottom=0)
+        axes.legend(fontsize=8)
+        text = svg(figure, "size", "Fleet size")
+    caption = "Mean over the seeds and its 95 % interval; blue meets the target, grey does not; dashed: the limit."
+    return Drawing("size", f"{sizing.target.words}, by fleet size", caption, text)
+
+
+def write_curve(drawing: Drawing, path: Path) -> None:
+    """Write a figure as an SVG file.
+
+    Args:
+        drawing: the figure.
+        path: the file.
+    """
+    path.write_text('<?xml version="1.0" encoding="UTF-8"?>\n' + drawing.svg + "\n", encoding="utf-8")

@@ -1,0 +1,274 @@
+"""The smallest fleet that meets a target, by as few runs as it takes.
+
+Fleet sizes are tried by doubling until one meets the target, then by halving the gap below it. Each size is run with
+one seed after another, the same for all, until it is clear on which side of the target the mean over the seeds lies:
+after 3, 5, 8, 12 and 18 seeds at 99.8 % confidence one-sided, after the last (30) at 96 %. Added up (Bonferroni), a
+size is said to meet the target wrongly with a probability of at most 5 %, however often one has looked. A size that
+remains unclear after the last seed does not meet it.
+
+That is right if more AGVs never make the wait longer up to the answer. Where they get in each other's way the curve
+turns up again, so that a target that the greatest fleet misses is also looked for around the best size seen.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+
+from analysis.measures import Interval, interval
+from parking_sim.config import Scenario
+from parking_sim.errors import InputError
+from parking_sim.sweep import RunFailedError, Tell, open_folder, run_folder, run_missing, write_plan
+from parking_sim.sweep_plan import RunSpec, make_runs
+
+#: Seeds after which a size is looked at, and the one-sided confidence asked for at a look and at the last one.
+LOOKS = (3, 5, 8, 12, 18, 30)
+LOOK_CONFIDENCE, LAST_CONFIDENCE = 0.998, 0.96
+
+_WHAT = {
+    "retrieval total": "retrieval_total",
+    "retrieval": "retrieval_wait",
+    "queue": "park_queue",
+    "parking": "park_total",
+}
+_TARGET = re.compile(rf"({'|'.join(_WHAT)}) (mean|p50|p90|p95|p99|max) < (\d+(?:\.\d+)?) ?(s|min)")
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What shall be reached.
+
+    Attributes:
+        words: as it was asked for.
+        key: the measure, one of ``analysis.measures.MEASURES``, of which the mean over seeds counts.
+        limit_s: it must be less than this, seconds.
+    """
+
+    words: str
+    key: str
+    limit_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """A fleet size that was tried.
+
+    Attributes:
+        agvs: the size.
+        meets: whether it meets the target.
+        values: the measure of each seed, in the order of the seeds.
+    """
+
+    agvs: int
+    meets: bool
+    values: tuple[float, ...]
+
+    @property
+    def mean(self) -> Interval:
+        """Mean over the seeds with its 95 % interval."""
+        return interval(self.values)
+
+
+@dataclass(frozen=True)
+class Sizing:
+    """The answer: the smallest fleet that meets the target, None if none does, and all sizes tried, in order."""
+
+    target: Target
+    agvs: int | None
+    tried: tuple[Tried, ...]
+
+    @property
+    def runs(self) -> int:
+        """Number of runs that were needed."""
+        return sum(len(tried.values) for tried in self.tried)
+
+
+#: Gives the measure of a fleet size for seeds.
+Measure = Callable[[int, Sequence[int]], Sequence[float]]
+
+
+def parse_target(text: str) -> Target:
+    """Read a target.
+
+    Args:
+        text: such as ``retrieval p95 < 5 min``: what (retrieval, retrieval total, queue, parking), its mean, p50, p90,
+            p95, p99 or max, and the limit in s or min.
+
+    Returns:
+        The target.
+
+    Raises:
+        InputError: anything else.
+    """
+    match = _TARGET.fullmatch(" ".join(text.split()))
+    if match is None or float(match[3]) == 0:
+        raise InputError(
+            f"--target: {text!r}: give such as 'retrieval p95 < 5 min': one of {', '.join(sorted(_WHAT))};"
+            " mean, p50, p90, p95, p99 or max; a limit in s or min"
+        )
+    limit_s = float(match[3]) * (60 if match[4] == "min" else 1)
+    return Target(match[0], f"{_WHAT[match[1]]}_{match[2]}_s", limit_s)
+
+
+def find_fleet(target: Target, most: int, measure: Measure, looks: Sequence[int] = LOOKS) -> Sizing:
+    """Search for the smallest fleet.
+
+    Args:
+        target: what it shall reach.
+        most: greatest fleet to try, 1 or more.
+        measure: runs a fleet size with seeds; asked for the seeds from 1 on, never for one twice.
+        looks: numbers of seeds after which a size is looked at, rising.
+
+    Returns:
+        The answer and how it was found.
+    """
+    tried: dict[int, Tried] = {}
+
+    def meets(agvs: int) -> bool:
+        if agvs not in tried:
+            tried[agvs] = _judge(agvs, target.limit_s, measure, looks)
+        return tried[agvs].meets
+
+    low, high = 0, 1
+    while not meets(high) and high < most:
+        low, high = high, min(2 * high, most)
+    if not meets(high):
+        found = _around_best(tried, meets)
+        low, high = (0, 0) if found is None else (max(n for n in tried if n < found), found)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if meets(middle) else (middle, high)
+    return Sizing(target, high or None, tuple(tried[agvs] for agvs in sorted(tried)))
+
+
+def size_fleet(
+    scenario: Scenario,
+    target: Target,
+    most: int,
+    folder: Path,
+    executor: Executor,
+    looks: Sequence[int] = LOOKS,
+    tell: Tell | None = None,
+) -> Sizing:
+    """Find the smallest fleet of a scenario that meets a target.
+
+    Args:
+        scenario: what to run; its number of AGVs and its seed are replaced.
+        target: what the fleet shall reach.
+        most: greatest fleet to try.
+        folder: for the runs, kept as those of a sweep over ``agvs``: runs done already are not done again.
+        executor: what does the runs, see ``parking_sim.executors``.
+        looks: numbers of seeds after which a size is looked at.
+        tell: called with the progress of the runs asked for so far.
+
+    Returns:
+        The answer.
+
+    Raises:
+        InputError: the folder can't be used, or the scenario does not fit its garage.
+        RunFailedError: a run failed twice.
+    """
+    open_folder(folder)
+    all_specs: list[RunSpec] = []
+
+    def measure(agvs: int, seeds: Sequence[int]) -> Sequence[float]:
+        specs = make_runs([scenario.model_copy(update={"agvs": agvs})], [{"agvs": agvs}], seeds)
+        all_specs.extend(specs)
+        write_plan(sorted(all_specs, key=lambda spec: spec.scenario.agvs), folder)
+        return measure_specs(specs, target.key, folder, executor, tell)
+
+    return find_fleet(target, most, measure, looks)
+
+
+def measure_specs(
+    specs: Sequence[RunSpec], key: str, folder: Path, executor: Executor, tell: Tell | None = None
+) -> list[float]:
+    """Do runs and take a measure of each.
+
+    Args:
+        specs: the runs.
+        key: one of ``analysis.measures.MEASURES``.
+        folder: folder of the sweep.
+        executor: what does the runs.
+        tell: called with the progress.
+
+    Returns:
+        The measure of each run, in their order; NaN where there was nothing to measure.
+
+    Raises:
+        RunFailedError: a run failed twice.
+    """
+    from analysis.measures import measure_runs
+    from analysis.runs import Runs
+
+    failures = run_missing(specs, folder, executor, tell)
+    if failures:
+        failed = failures[0].spec.scenario
+        raise RunFailedError(f"{failed.agvs} AGVs, seed {failed.seed}: {failures[0].error}")
+    runs = Runs({spec.key: run_folder(spec, folder) for spec in specs})
+    return [float(value) for value in measure_runs(runs)[key]]
+
+
+def answer(sizing: Sizing, where: str) -> str:
+    """The answer in a sentence.
+
+    Args:
+        sizing: see :func:`find_fleet`.
+        where: what was sized, such as ``map1, mall-saturday 13 to 16 h``.
+    """
+    by_size = {tried.agvs: tried for tried in sizing.tried}
+    runs = f"{sizing.runs} runs"
+    if sizing.agvs is None:
+        best = min(sizing.tried, key=_mean_or_inf)
+        return (
+            f"No fleet of 1 to {sizing.tried[-1].agvs} AGVs meets '{sizing.target.words}' in {where}: the best tried,"
+            f" {best.agvs}, has {_span(best.mean)} ({runs})."
+        )
+    fleet = f"{sizing.agvs} AGV{'s' if sizing.agvs > 1 else ''}"
+    below = by_size.get(sizing.agvs - 1)
+    less = f"; {below.agvs} do not, with {_span(below.mean)}" if below is not None else ""
+    reached = _span(by_size[sizing.agvs].mean)
+    return f"{fleet} meet '{sizing.target.words}' in {where} with 95 % confidence: {reached}{less} ({runs})."
+
+
+def _judge(agvs: int, limit_s: float, measure: Measure, looks: Sequence[int]) -> Tried:
+    """Run a size until it is clear on which side of the limit it lies."""
+    values: list[float] = []
+    for look in looks:
+        values.extend(measure(agvs, range(len(values) + 1, look + 1)))
+        last = look == looks[-1]
+        spread = interval(values, 2 * (LAST_CONFIDENCE if last else LOOK_CONFIDENCE) - 1)
+        if spread.high < limit_s:
+            return Tried(agvs, True, tuple(values))
+        if spread.low > limit_s:
+            break
+    return Tried(agvs, False, tuple(values))
+
+
+def _around_best(tried: dict[int, Tried], meets: Callable[[int], bool]) -> int | None:
+    """Halve the gaps beside the best size, until one meets the target or there are no gaps."""
+    while True:
+        sizes = sorted(tried)
+        best = sizes.index(min(sizes, key=lambda agvs: _mean_or_inf(tried[agvs])))
+        pairs = [pair for pair in itertools.pairwise(sizes) if sizes[best] in pair and pair[1] - pair[0] > 1]
+        if not pairs:
+            return None
+        for low, high in pairs:
+            if meets((low + high) // 2):
+                return (low + high) // 2
+
+
+def _mean_or_inf(tried: Tried) -> float:
+    mean = tried.mean.mean
+    return math.inf if math.isnan(mean) else mean
+
+
+def _span(value: Interval) -> str:
+    if value.runs < 2:
+        return "nothing to measure" if value.runs == 0 else f"{value.mean:.0f} s"
+    return f"{value.mean:.0f} s (95 %: {value.low:.0f} to {value.high:.0f}, {value.runs} seeds)"

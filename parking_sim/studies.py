@@ -1,0 +1,302 @@
+"""The commands over many runs: sweep, compare, size, tune; and those on demand profiles."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from parking_sim.errors import InputError
+
+if TYPE_CHECKING:
+    from analysis.figures import Drawing
+    from demand.profiles import Profile
+    from parking_sim.config import Scenario
+    from parking_sim.sizing import Sizing
+
+_UNFINISHED = 1
+
+Workers = Annotated[int | None, typer.Option(help="Processes on this machine; default: one a core.")]
+Scheduler = Annotated[str | None, typer.Option(help="A dask scheduler instead, such as tcp://host:8786.")]
+Report = Annotated[bool, typer.Option(help="Write an HTML report.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
+
+
+def sweep(
+    plan: Annotated[Path, typer.Argument(help="A sweep file (.yaml): base, grid, list, seeds.")],
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the sweep; default: runs/ and the file's name.")] = None,
+    report: Report = True,
+    quiet: Quiet = False,
+) -> None:
+    """Run many scenarios; what is done already is skipped, so that a stopped sweep goes on."""
+    from parking_sim.executors import open_executor
+    from parking_sim.progress import SweepBar
+    from parking_sim.sweep import sweep as run_sweep
+    from parking_sim.sweep_plan import label, load_sweep
+
+    specs = load_sweep(plan)
+    folder = out or Path("runs") / plan.stem
+    with open_executor(workers, scheduler) as executor, SweepBar(quiet) as bar:
+        failures = run_sweep(specs, folder, executor, bar.update)
+    for failure in failures:
+        seed = failure.spec.scenario.seed
+        print(f"failed: {label(failure.spec.varied)} seed={seed}: {failure.error}", file=sys.stderr)
+    done = len(specs) - len(failures)
+    _say(quiet, f"{done} of {len(specs)} runs: {folder}")
+    if report and done:
+        _report(folder, quiet)
+    raise typer.Exit(_UNFINISHED if failures else 0)
+
+
+def compare(
+    a: Annotated[str, typer.Argument(help="Runs of a variant: a folder, or FOLDER:key=value,... to pick one in it.")],
+    b: Annotated[str, typer.Argument(help="Runs of another variant, with the same seeds.")],
+    warmup: Annotated[float, typer.Option(help="Minutes at the start that don't count.", min=0)] = 0.0,
+    measure: Annotated[list[str] | None, typer.Option(help="Measure to compare instead; may be repeated.")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Picture to write, .svg or .png.")] = None,
+) -> None:
+    """Compare two variants, seed by seed: differences with 95 % intervals, in words, and whether the seeds do."""
+    from analysis.compare import HEADLINES, in_words, select_runs, table_rows, variant_names
+    from analysis.compare import compare as compare_runs
+    from analysis.measures import MEASURES
+
+    for key in measure or ():
+        if key not in MEASURES:
+            raise InputError(f"--measure: {key!r}: give one of {', '.join(MEASURES)}")
+    if figure is not None and figure.suffix not in (".svg", ".png"):
+        raise InputError(f"--figure: {figure}: give a file name that ends with .svg or .png")
+    names = variant_names(a, b)
+    found = compare_runs(select_runs(a), select_runs(b), names, 60 * warmup, measure or HEADLINES)
+    _print_table(table_rows(found), f"{names[1]} against {names[0]}, {len(found.seeds)} seeds")
+    for line in in_words(found):
+        print(line)
+    if figure is not None:
+        from analysis.compare import write_comparison
+
+        print(f"figure: {write_comparison(found, figure)}")
+
+
+def size(
+    scenario: Annotated[str, typer.Argument(help="A shipped garage, a scenario file (.yaml) or a net file.")],
+    target: Annotated[str, typer.Option(help="What to reach, such as 'retrieval p95 < 5 min'.")],
+    profile: Annotated[str | None, typer.Option(help="Demand profile; default: the scenario's own traffic.")] = None,
+    start: Annotated[float | None, typer.Option(help="Hour of the day; default: of the busiest hours.")] = None,
+    hours: Annotated[float, typer.Option(help="Hours of the profile.", min=0.1, max=24)] = 3.0,
+    scale: Annotated[float, typer.Option(help="Factor on the cars of the profile.", min=0.001)] = 1.0,
+    max_agvs: Annotated[int | None, typer.Option(help="Greatest fleet; default: all homes.", min=1)] = None,
+    max_seeds: Annotated[int, typer.Option(help="Most seeds for a fleet size.", min=3)] = 30,
+    planner: Annotated[str | None, typer.Option(help="Planner: a name, or file.py:function.")] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the runs; default: a name of its own in runs/.")] = None,
+    report: Report = True,
+    quiet: Quiet = False,
+) -> None:
+    """Find the smallest fleet that meets a target with 95 % confidence."""
+    from parking_sim.executors import open_executor
+    from parking_sim.progress import SweepBar
+    from parking_sim.sizing import LOOKS, answer, parse_target, size_fleet
+    from sumo_nets.read import read_net
+
+    wanted = parse_target(target)
+    base = _scenario_to_size(scenario, planner, profile, (start, hours, scale), wanted.limit_s)
+    homes = len(read_net(base.garage_source).graph.homes)
+    if max_agvs is not None and max_agvs > homes:
+        raise InputError(f"--max-agvs: {max_agvs}: {scenario} has homes for 1 to {homes}")
+    name = Path(scenario).name.split(".")[0]
+    where = _where(name, base)
+    folder = out or Path("runs") / f"size-{name}-{profile or 'own'}".replace("/", "-")
+    looks = (*(look for look in LOOKS if look < max_seeds), max_seeds)
+    with open_executor(workers, scheduler) as executor, SweepBar(quiet) as bar:
+        found = size_fleet(base, wanted, max_agvs or homes, folder, executor, looks, bar.update)
+    _print_table(_sizing_rows(found), where)
+    print(answer(found, where))
+    _keep_sizing(found, answer(found, where), folder, report, quiet)
+    raise typer.Exit(0 if found.agvs else _UNFINISHED)
+
+
+def tune(
+    scenario: Annotated[str, typer.Argument(help="A shipped garage, a scenario file (.yaml) or a net file.")],
+    vary: Annotated[list[str], typer.Option(help="Key and range, such as control.period_s=2..10; may be repeated.")],
+    measure: Annotated[str, typer.Option(help="What to make small (or great, where that is good).")] = (
+        "retrieval_wait_p95_s"
+    ),
+    trials: Annotated[int, typer.Option(help="Settings to try.", min=1)] = 20,
+    seeds: Annotated[str, typer.Option(help="Seeds of each setting.")] = "1..5",
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the runs; default: runs/tune- and the name.")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Tune parameters of the controller with optuna, on the same seeds for every setting."""
+    from parking_sim.config import load_scenario
+    from parking_sim.executors import open_executor
+    from parking_sim.sweep_plan import label, parse_seeds
+    from parking_sim.tuning import parse_ranges, tune_scenario
+
+    name = Path(scenario).name.split(".")[0]
+    folder = out or Path("runs") / f"tune-{name}"
+    load_scenario(scenario)
+    with open_executor(workers, scheduler) as executor:
+        results = tune_scenario(
+            scenario, parse_ranges(vary), measure, trials, parse_seeds(seeds, "--seeds"), folder, executor
+        )
+    rows = [
+        {"setting": label(r.values), measure: f"{r.mean.mean:.5g}", "±": f"{r.mean.half:.3g}"} for r in results[:10]
+    ]
+    _print_table(rows, f"{name}: the best of {len(results)} settings")
+    _say(quiet, f"runs: {folder}")
+
+
+def profiles(
+    name: Annotated[str | None, typer.Argument(help="A profile's name or file; default: list all.")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Picture to write, .svg or .png.")] = None,
+) -> None:
+    """List the demand profiles with their sources, or show the hours of one."""
+    from demand.profiles import PROFILES, find_profile
+
+    if figure is not None and figure.suffix not in (".svg", ".png"):
+        raise InputError(f"--figure: {figure}: give a file name that ends with .svg or .png")
+    chosen: Mapping[str, Profile] = PROFILES if name is None else {name: find_profile(name)}
+    for key, profile in chosen.items():
+        daily = profile.arrivals_between(profile.hours[0], profile.hours[-1])
+        print(f"{key}: {profile.words}; {daily:.2f} cars a day for each slot")
+        print(f"    source: {profile.source}")
+        print(f"    licence: {profile.licence or 'not stated'}")
+    if name is not None:
+        _print_table(_hour_rows(chosen[name]), name)
+    if figure is not None:
+        from analysis.profile_figure import write_profiles_figure
+
+        print(f"figure: {write_profiles_figure(chosen, figure)}")
+
+
+def fit_profile(
+    log: Annotated[Path, typer.Argument(help="A gate log (.csv) with the columns time, event (in or out), car.")],
+    slots: Annotated[int, typer.Option(help="Slots of the garage that was logged.", min=1)],
+    out: Annotated[Path, typer.Option(help="Profile to write (.yaml).")],
+    days: Annotated[str, typer.Option(help="Days to use: all, weekdays, mon, tue, ...")] = "all",
+    initial: Annotated[int | None, typer.Option(help="Cars inside before the log begins.")] = None,
+    source: Annotated[str | None, typer.Option(help="Where the log is from; default: its file name.")] = None,
+) -> None:
+    """Fit a demand profile to a gate log."""
+    from demand.gate_log import fit_profile as fit
+    from demand.gate_log import read_gate_log
+    from demand.profiles import write_profile
+
+    if out.suffix not in (".yaml", ".yml"):
+        raise InputError(f"--out: {out}: give a file name that ends with .yaml")
+    fitted = fit(read_gate_log(log), slots, source or log.name, days, initial)
+    try:
+        write_profile(fitted, out)
+    except OSError as error:
+        raise InputError(f"--out: {out}: can't be written: {error.strerror}") from None
+    print(f"{out}: {fitted.words}; {fitted.arrivals_between(0, 24):.2f} cars a day for each slot")
+
+
+def _scenario_to_size(
+    source: str, planner: str | None, profile: str | None, stretch: tuple[float | None, float, float], limit_s: float
+) -> Scenario:
+    """The scenario with the hours of a profile; it goes on for the target's limit after the last request."""
+    from demand.profile_traffic import ProfileTraffic
+    from demand.profiles import find_profile
+    from parking_sim.config import load_scenario
+
+    base = load_scenario(source, {"planner": planner} if planner is not None else {})
+    if profile is None:
+        return base
+    start, hours, scale = stretch
+    found = find_profile(profile)
+    hours = min(hours, found.hours[-1] - found.hours[0])
+    begin = found.busiest(hours) if start is None else start
+    name = profile if profile == Path(profile).name and not Path(profile).is_file() else str(Path(profile).resolve())
+    traffic = ProfileTraffic(name=name, start_h=begin, hours=hours, scale=scale)
+    return base.model_copy(update={"workload": traffic, "duration_s": 3600 * hours + limit_s})
+
+
+def _where(name: str, scenario: Scenario) -> str:
+    from demand.profile_traffic import ProfileTraffic
+
+    traffic = scenario.workload
+    if not isinstance(traffic, ProfileTraffic):
+        return f"{name} with {getattr(traffic, 'kind', 'its')} traffic"
+    begin = traffic.start_h or 0.0
+    times = "" if traffic.scale == 1 else f" times {traffic.scale:g}"
+    return f"{name}, {Path(traffic.name).stem}{times} from {_clock(begin)} to {_clock(begin + (traffic.hours or 0.0))}"
+
+
+def _clock(hour: float) -> str:
+    return f"{int(hour)}:{round(hour % 1 * 60):02}"
+
+
+def _sizing_rows(sizing: Sizing) -> list[dict[str, str]]:
+    what = sizing.target.words.partition(" <")[0]
+    return [
+        {
+            "AGVs": str(tried.agvs),
+            f"{what}, s": f"{tried.mean.mean:.0f}",
+            "95 % interval": f"{tried.mean.low:.0f} .. {tried.mean.high:.0f}",
+            "seeds": str(len(tried.values)),
+            "meets it": "yes" if tried.meets else "no",
+        }
+        for tried in sizing.tried
+    ]
+
+
+def _keep_sizing(sizing: Sizing, sentence: str, folder: Path, report: bool, quiet: bool) -> None:
+    """The answer as JSON, the curve as a picture, and the report."""
+    from analysis.size_curve import size_curve, write_curve
+    from parking_sim.record import write_json
+
+    tried = [{"agvs": t.agvs, "meets": t.meets, "values_s": t.values} for t in sizing.tried]
+    target = {"words": sizing.target.words, "measure": sizing.target.key, "limit_s": sizing.target.limit_s}
+    write_json(folder / "sizing.json", {"answer": sentence, "agvs": sizing.agvs, "target": target, "tried": tried})
+    curve = size_curve(sizing)
+    write_curve(curve, folder / "curve.svg")
+    _say(quiet, f"curve: {folder / 'curve.svg'}")
+    if report:
+        _report(folder, quiet, sentence, [curve])
+
+
+def _report(folder: Path, quiet: bool, answer: str = "", drawings: Sequence[Drawing] = ()) -> None:
+    from analysis.sweep_report import write_sweep_report
+
+    _say(quiet, f"report: {write_sweep_report(folder, answer, drawings)}")
+
+
+def _hour_rows(profile: Profile) -> list[dict[str, str]]:
+    rows = []
+    for begin, end in zip(profile.hours, profile.hours[1:], strict=False):
+        rows.append(
+            {
+                "from": _clock(begin),
+                "to": _clock(end),
+                "arrive, % of slots": f"{100 * profile.arrivals_between(begin, end):.1f}",
+                "leave, % of slots": f"{100 * profile.departures_between(begin, end):.1f}",
+                "occupied at the end, %": f"{100 * profile.occupancy_at(end):.1f}",
+                "source says, %": f"{100 * profile.observed[end]:.1f}" if end in profile.observed else "",
+            }
+        )
+    return rows
+
+
+def _print_table(rows: Sequence[Mapping[str, str]], title: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title)
+    for heading in rows[0] if rows else ():
+        table.add_column(heading, justify="right")
+    for row in rows:
+        table.add_row(*row.values())
+    Console().print(table)
+
+
+def _say(quiet: bool, text: str) -> None:
+    if not quiet:
+        print(text)
