@@ -19,6 +19,8 @@ PLANNERS: dict[str, tuple[str, str, str]] = {
     "astar": ("controller.planners.astar", "make_astar", ""),
     "dstar_lite": ("controller.planners.dstar_lite", "make_dstar_lite", ""),
     "binary_tree": ("controller.planners.binary_tree", "make_binary_tree", "BinaryTreeOptions"),
+    "ga_single": ("controller.planners.genetic", "make_ga_single", "GeneticOptions"),
+    "ga_two_stage": ("controller.planners.genetic", "make_ga_two_stage", "GeneticOptions"),
 }
 
 
