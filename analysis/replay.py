@@ -1,7 +1,7 @@
 """The replay of a run: one HTML file that shows the garage at work, offline and in any browser.
 
-The page holds what it draws as columns of whole numbers (milliseconds, centimetres, tenths of degrees), each delta-coded
-to bytes of variable length and deflated together: about 0.2 MB for an hour with eight AGVs. A run that would need more
+The page holds what it draws as columns of whole numbers (milliseconds, centimetres, tenths of degrees), delta-coded to
+bytes of variable length and deflated together: about 0.1 MB for an hour with eight AGVs. A run that would need more
 than the limit keeps every second, fourth, ... sample only, and the page says so.
 """
 
@@ -15,6 +15,7 @@ import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -101,12 +102,12 @@ def replay_page(
         raise InputError(f"{run.name}: the record holds no trajectory or no floor; nothing to replay")
     times = np.unique(run.trajectory["time_s"].to_numpy(dtype=np.float64))
     window = _window(run, times, start_s, end_s)
+    template, style = environment().get_template("replay.html"), _source("replay.css")
+    scripts = [_source(name) for name in _SCRIPTS]
     floor, every = _floor(run), 1
     while True:
         data = pack(*_contents(run, floor, window, every))
-        page = environment().get_template("replay.html").render(
-            title=page_title(run), report=report, data=data, style=_source("replay.css"), scripts=[*map(_source, _SCRIPTS)]
-        )
+        page = template.render(title=page_title(run), report=report, data=data, style=style, scripts=scripts)
         if len(page) <= limit_bytes or len(times) // every < 100:
             return page
         every *= 2
@@ -131,7 +132,9 @@ def pack(head: Mapping[str, Any], columns: Mapping[str, Ints]) -> str:
 
 def _varints(values: Ints) -> bytes:
     coded = ((values << 1) ^ (values >> 63)).astype(np.uint64)
-    size = 1 + sum((coded >= 1 << bits).astype(np.int64) for bits in (7, 14, 21, 28))
+    size = np.ones(len(coded), dtype=np.int64)
+    for bits in (7, 14, 21, 28):
+        size += coded >= 1 << bits
     end = np.cumsum(size)
     out = np.zeros(int(end[-1]) if len(end) else 0, dtype=np.uint8)
     for k in range(5):
@@ -222,7 +225,7 @@ def _count(value: object, otherwise: int) -> int:
 def _ms(seconds: Any) -> Ints:
     """Seconds as whole milliseconds; what never came lies far ahead."""
     values = np.asarray(seconds, dtype=np.float64)
-    return np.where(np.isfinite(values), np.rint(np.nan_to_num(values) * 1000.0), _NEVER).astype(np.int64)
+    return np.rint(np.where(np.isfinite(values), values * 1000.0, _NEVER)).astype(np.int64)
 
 
 def _cm(metres: Any) -> Ints:
@@ -310,9 +313,7 @@ def _numbers(names: Iterable[str], number: Mapping[str, int]) -> Ints:
     return np.array([number.get(name, -1) for name in names], dtype=np.int64)
 
 
-def _stays(
-    run: Run, floor: _Floor, track: _Track, number: Mapping[str, int], window: Window
-) -> dict[str, Ints]:
+def _stays(run: Run, floor: _Floor, track: _Track, number: Mapping[str, int], window: Window) -> dict[str, Ints]:
     """Where cars stood: in slots as the AGV set them down, and at the bays' places in the street.
 
     ``ready`` is when the customer has left an arriving car; for other stays it is when the stay began.
@@ -445,10 +446,10 @@ def _floor(run: Run) -> _Floor:
 
 def _lines(shapes: pd.DataFrame) -> list[tuple[int, str, Floats]]:
     """Edge, part of the street and points of each line."""
-    return [
-        (int(rows["edge"].iloc[0]), str(rows["part"].iloc[0]), rows[["x_m", "y_m"]].to_numpy(dtype=np.float64))
-        for _, rows in shapes.groupby("line", sort=True)
-    ]
+    first = np.flatnonzero(np.diff(shapes["line"].to_numpy(), prepend=-1))
+    points = np.split(shapes[["x_m", "y_m"]].to_numpy(dtype=np.float64), first[1:])
+    heads = shapes.iloc[first]
+    return list(zip(heads["edge"].tolist(), heads["part"].tolist(), points, strict=bool(len(first))))
 
 
 def _spur_ends(ends: Ints, slots: Iterable[int]) -> set[int]:
@@ -463,7 +464,7 @@ def _spur_ends(ends: Ints, slots: Iterable[int]) -> set[int]:
 
 
 def _drawn_lanes(xy: Floats, ends: Ints, lanes: Mapping[int, Floats], spurs: set[int]) -> list[list[int]]:
-    """Kind (0 two-way, 1 one-way, 2 spur) and points of each lane; both directions of one lane once."""
+    """Kind (0 two-way, 1 one-way, 2 spur), ends and points of each lane; both directions of one lane once."""
     directed = {(int(tail), int(head)) for tail, head in ends}
     rows = []
     for e, (tail, head) in enumerate(ends.tolist()):
@@ -472,7 +473,7 @@ def _drawn_lanes(xy: Floats, ends: Ints, lanes: Mapping[int, Floats], spurs: set
             continue
         spur = two_way and (tail in spurs or head in spurs)
         points = lanes.get(e, xy[[tail, head]]) if spur else xy[[tail, head]]
-        rows.append([2 if spur else 0 if two_way else 1, *_cm(points).ravel().tolist()])
+        rows.append([2 if spur else 0 if two_way else 1, tail, head, *_cm(points).ravel().tolist()])
     return rows
 
 
@@ -490,7 +491,7 @@ def _tenths(direction: Floats) -> int:
 def _foot(line: Floats, at: Floats) -> tuple[float, Floats, Floats]:
     """Distance to a line, its nearest point, and its direction there."""
     best: tuple[float, Floats, Floats] | None = None
-    for a, b in zip(line[:-1], line[1:], strict=True):
+    for a, b in pairwise(line):
         step = b - a
         share = float(np.clip((at - a) @ step / max(float(step @ step), 1e-9), 0.0, 1.0))
         foot = a + share * step

@@ -76,6 +76,7 @@ def write_report(folder: Path) -> Path:
         wall=[(part, f"{seconds:.2f} s") for part, seconds in (run.meta.get("wall_s") or {}).items()],
         digest=sorted((run.meta.get("digest") or {}).items()),
         files=_files(folder),
+        replay=(folder / "replay.html").is_file(),
     )  # fmt: skip
     return write_page(folder / "report.html", page)
 
@@ -337,10 +338,10 @@ def _shown(value: object) -> str:
 
 
 def _files(folder: Path) -> list[tuple[str, str, str]]:
-    """Name, size and SHA-256 of the run's files but the report."""
+    """Name, size and SHA-256 of the run's files but its pages."""
     rows = []
     for path in sorted(folder.iterdir()):
-        if path.is_file() and path.name != "report.html":
+        if path.is_file() and path.suffix != ".html":
             with path.open("rb") as file:
                 rows.append((path.name, f"{path.stat().st_size:,}", hashlib.file_digest(file, "sha256").hexdigest()))
     return rows

@@ -10,7 +10,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
@@ -116,8 +116,8 @@ def run(
 @app.command("replay")
 def replay_(
     folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
-    start: Annotated[str | None, typer.Option("--from", help="Start at this time of the run: seconds or h:mm:ss.")] = None,
-    end: Annotated[str | None, typer.Option("--to", help="End at this time.")] = None,
+    start: Annotated[str | None, typer.Option("--from", help="Show from this time on: seconds or h:mm:ss.")] = None,
+    end: Annotated[str | None, typer.Option("--to", help="Show up to this time.")] = None,
 ) -> None:
     """Write the replay of a run: one HTML file to watch it in a browser, offline."""
     from analysis.replay import write_replay
@@ -297,7 +297,7 @@ def _seconds(option: str, text: str | None) -> float | None:
         values = []
     if not 1 <= len(values) <= 3 or not all(math.isfinite(value) and value >= 0 for value in values):
         raise InputError(f"{option}: {text!r}: give seconds or h:mm:ss")
-    return sum(value * 60**k for k, value in enumerate(reversed(values)))
+    return sum(value * 60.0**k for k, value in enumerate(reversed(values)))
 
 
 def _write_pages(folder: Path, report: bool, replay: bool) -> dict[str, Path]:
@@ -307,7 +307,8 @@ def _write_pages(folder: Path, report: bool, replay: bool) -> dict[str, Path]:
 
     pages = {}
     if replay:
-        pages["replay"] = write_replay(folder, report=report)
+        with suppress(InputError):  # stopped before the first sample: there is nothing to show
+            pages["replay"] = write_replay(folder, report=report)
     return {"report": write_report(folder), **pages} if report else pages
 
 

@@ -58,6 +58,8 @@ def run_demo(out: Path, force: bool, quiet: bool) -> int:
     from analysis.report import write_index
 
     print(f"report: {write_index([folders[name] for name in names], out / 'index.html')}")
+    for name in names:
+        print(f"replay: {folders[name] / 'replay.html'}")
     complaints = [f"{name}: {line}" for name in names for line in complaints_of(summaries[name])]
     for complaint in complaints:
         print(complaint, file=sys.stderr)
@@ -155,6 +157,7 @@ def _start_worker(reports: Any) -> None:
 
 
 def _run_one(name: str, folder: Path) -> Summary:
+    from analysis.replay import write_replay
     from analysis.report import write_report
     from parking_sim.simulation import simulate
 
@@ -166,5 +169,6 @@ def _run_one(name: str, folder: Path) -> Summary:
         summary = simulate(load_scenario(name), folder, progress=tell)
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+    write_replay(folder, report=True)
     write_report(folder)
     return summary

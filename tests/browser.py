@@ -1,4 +1,4 @@
-"""Headless Chromium for tests of pages, driven over a pipe by the DevTools protocol; nothing to install but Chromium."""
+"""Headless Chromium for tests of pages, driven over a pipe by the DevTools protocol; needs Chromium alone."""
 
 from __future__ import annotations
 

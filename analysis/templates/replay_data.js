@@ -3,7 +3,7 @@
 /* The record: what was where at a time. Times are milliseconds, places metres, angles radians counter-clockwise. */
 
 const NEVER = 2 ** 30 - 1;
-const SLOT = 0, INBOUND = 1;
+const SLOT = 0, INBOUND = 1, SPUR = 2;
 
 /** Undo analysis.replay.pack: the description, and the columns by name. */
 async function unpack(text) {
@@ -65,7 +65,6 @@ class Recording {
     this.jobOf = starts(columns.job_agv, head.agvs);
     this.pathStart = new Int32Array(columns.plan_length.length + 1);
     columns.plan_length.forEach((n, k) => { this.pathStart[k + 1] = this.pathStart[k] + n; });
-    this.modeNumber = Object.fromEntries(head.modes.map((mode, k) => [mode, k]));
   }
 
   /** Where an AGV is: x, y, angle, speed (m/s), mode. A reversal swaps front and rear at once; the body never spins. */
@@ -126,20 +125,6 @@ class Recording {
     const { stay_from: from, stay_to: to } = this.columns;
     const last = lastAt(from, time);
     for (let k = 0; k <= last; k++) if (time < to[k]) call(k);
-  }
-
-  /** Where a car is: {stay} or {agv, job} or {} (in the street or gone). */
-  whereabouts(car, time) {
-    const c = this.columns;
-    for (let k = 0; k < c.stay_car.length; k++) {
-      if (c.stay_car[k] === car && c.stay_from[k] <= time && time < c.stay_to[k]) return { stay: k };
-    }
-    for (let k = 0; k < c.job_car.length; k++) {
-      if (c.job_car[k] === car && c.job_lifted[k] <= time && time < c.job_delivered[k]) {
-        return { agv: c.job_agv[k], job: k };
-      }
-    }
-    return {};
   }
 
   /** Customers waiting, cars in slots, tasks done. */

@@ -10,6 +10,7 @@ const GROUPS = {
   "going to charge": "charge", "charging": "charge",
 };
 const DETAIL = 12, LABELS = 5, SLOT_NAMES = 24;
+const QUEUE_SHOWN = 20;
 
 /** What is seen: the world point in the middle, and pixels a metre. */
 class View {
@@ -32,6 +33,11 @@ class View {
     return [this.x + (px - this.width / 2) / this.scale, this.y - (py - this.height / 2) / this.scale];
   }
 
+  /** So many metres, but no fewer and no more pixels than given. */
+  thick(metres, least, most) {
+    return Math.min(Math.max(metres, least / this.scale), most / this.scale);
+  }
+
   sees(x, y, margin = 4) {
     return Math.abs(x - this.x) < this.width / 2 / this.scale + margin
       && Math.abs(y - this.y) < this.height / 2 / this.scale + margin;
@@ -40,7 +46,7 @@ class View {
   fit([left, bottom, right, top]) {
     this.x = (left + right) / 2;
     this.y = (bottom + top) / 2;
-    this.scale = Math.min(this.width / (right - left), this.height / (top - bottom));
+    this.scale = 0.95 * Math.min(this.width / (right - left), this.height / (top - bottom));
   }
 
   zoom(factor, px = this.width / 2, py = this.height / 2) {
@@ -106,14 +112,19 @@ class Floor {
   constructor(head) {
     this.head = head;
     this.xy = head.floor.xy.map(([x, y]) => [x / 100, y / 100]);
+    this.lanes = head.floor.lanes.map(([kind, tail, head, ...flat]) => ({ kind, tail, head, points: metres(flat) }));
+    this.spurs = new Map();
+    for (const { tail, head, points } of this.lanes.filter(({ kind }) => kind === SPUR)) {
+      this.spurs.set(`${tail} ${head}`, points.slice(1, -1)).set(`${head} ${tail}`, points.slice(1, -1).reverse());
+    }
     this.places = head.floor.places.map(([role, vertex, x, y, angle, spur]) => ({
       role, vertex, x: x / 100, y: y / 100, angle: (angle / 1800) * Math.PI, spur,
     }));
     this.placeOf = new Map(this.places.map((place) => [place.vertex, place]));
     this.streets = head.floor.streets.map(([part, flat]) => ({ part, points: metres(flat) }));
+    this.queue = this.queueLine();
     this.bounds = this.extent();
     this.paths = this.build();
-    this.queue = this.queueLine();
     this.names = this.placeNames();
   }
 
@@ -136,13 +147,14 @@ class Floor {
         }
       }
     }
+    const queue = this.queue.length > 1 ? fromEnd(this.queue, QUEUE_SHOWN) : null;
+    if (queue) take(queue.x, queue.y, 1);
     return box;
   }
 
   build() {
     const paths = { two: new Path2D(), one: new Path2D(), spur: new Path2D(), arrows: new Path2D(), street: new Path2D() };
-    for (const [kind, ...flat] of this.head.floor.lanes) {
-      const points = metres(flat);
+    for (const { kind, points } of this.lanes) {
       trace([paths.two, paths.one, paths.spur][kind], points);
       if (kind === 1) this.addArrow(paths.arrows, points[0], points[points.length - 1]);
     }
@@ -163,6 +175,17 @@ class Floor {
     path.moveTo(...at(-0.7, 0.85));
     path.lineTo(...at(0.55, 0));
     path.lineTo(...at(-0.7, -0.85));
+  }
+
+  /** Where a body stands at a vertex. */
+  standing(vertex) {
+    const place = this.placeOf.get(vertex);
+    return place?.spur ? [place.x, place.y] : this.xy[vertex];
+  }
+
+  /** Points of the way along vertices. */
+  way(path) {
+    return path.flatMap((vertex, k) => [...(this.spurs.get(`${path[k - 1]} ${vertex}`) ?? []), this.standing(vertex)]);
   }
 
   /** The street on which cars wait, up to where the first of them stands. */
@@ -194,7 +217,7 @@ class Floor {
       if (!this.paths[role]) continue;
       ctx.fillStyle = colors[role];
       ctx.fill(this.paths[role]);
-      this.stroke(ctx, this.paths[role], colors[`${role}-edge`], Math.max(0.12, 0.7 / view.scale));
+      this.stroke(ctx, this.paths[role], colors[`${role}-edge`], view.thick(0.12, 0.7, 2));
     }
     this.drawNames(ctx, view, colors);
   }
@@ -358,7 +381,7 @@ class Scene {
     line.forEach(({ x, y, angle }) => addBox(bodies, x, y, angle, CAR_LENGTH, CAR_WIDTH));
     ctx.fillStyle = colors.soft;
     ctx.fill(bodies);
-    this.badge(ctx, view, colors, line[0], `${queue} waiting`);
+    if (view.sees(line[0].x, line[0].y)) this.badge(ctx, view, colors, line[0], `${queue} waiting`);
   }
 
   badge(ctx, view, colors, { x, y }, text) {
@@ -386,7 +409,7 @@ class Scene {
     ctx.fillStyle = this.color(colors, agv);
     ctx.fill(this.chassis);
     ctx.strokeStyle = colors.paper;
-    ctx.lineWidth = Math.max(0.12, 1 / view.scale);
+    ctx.lineWidth = view.thick(0.12, 1, 2);
     ctx.stroke(this.chassis);
     if (agv.car >= 0) {
       this.drawCar(ctx, view, colors, agv);
@@ -397,7 +420,7 @@ class Scene {
   }
 
   drawNumbers(ctx, view, colors, agvs) {
-    const size = Math.min(13, Math.max(8, 1.25 * view.scale));
+    const size = Math.min(20, Math.max(8, 1.25 * view.scale));
     if (view.scale < 2.5) return;
     ctx.setTransform(view.ratio, 0, 0, view.ratio, 0, 0);
     ctx.font = `700 ${size}px system-ui, sans-serif`;
@@ -410,7 +433,7 @@ class Scene {
       ctx.beginPath();
       ctx.arc(x, y, size * 0.78, 0, 7);
       ctx.fill();
-      ctx.fillStyle = "#fff";
+      ctx.fillStyle = colors.paper;
       ctx.fillText(agv.agv, x, y + 0.5);
     }
   }
@@ -419,30 +442,27 @@ class Scene {
   drawPlan(ctx, view, colors, agv, time, followed) {
     const { path, granted } = this.recording.plan(agv.agv, time);
     const mine = followed?.agv === agv.agv;
-    const points = Array.from(path, (vertex) => this.floor.xy[vertex]);
     let gone = 0;
-    while (points.length > 1 && gone < 3 && this.passed(agv, points)) {
-      points.shift();
-      gone++;
-    }
-    points.unshift([agv.x, agv.y]);
+    while (gone < Math.min(3, path.length - 1) && this.passed(agv, path[gone], path[gone + 1])) gone++;
+    const ahead = Array.from(path.subarray(gone)), own = Math.max(0, granted - gone);
     view.apply(ctx);
     ctx.globalAlpha = followed && !mine ? 0.3 : 0.85;
     ctx.strokeStyle = this.color(colors, agv);
     ctx.lineJoin = "round";
     ctx.lineCap = "round";
-    ctx.lineWidth = Math.max(mine ? 0.7 : 0.45, (mine ? 3 : 2) / view.scale);
-    const own = Math.max(1, granted - gone + 1);
-    this.strokeLine(ctx, points.slice(0, own));
-    ctx.setLineDash([0.9, 1.2]);
-    this.strokeLine(ctx, points.slice(own - 1));
+    ctx.lineWidth = mine ? view.thick(0.7, 3, 7) : view.thick(0.45, 2, 5);
+    const here = [agv.x, agv.y];
+    this.strokeLine(ctx, [here, ...this.floor.way(ahead.slice(0, own))]);
+    ctx.setLineDash([2 * ctx.lineWidth, 2.6 * ctx.lineWidth]);
+    this.strokeLine(ctx, own ? this.floor.way(ahead.slice(own - 1)) : [here, ...this.floor.way(ahead)]);
     ctx.setLineDash([]);
     if (agv.goal >= 0) this.drawGoal(ctx, agv.goal);
     ctx.globalAlpha = 1;
   }
 
-  /** The AGV's middle lies beyond the first vertex, seen along the way to the second. */
-  passed({ x, y }, [[ax, ay], [bx, by]]) {
+  /** The AGV's middle lies beyond a vertex, seen along the way to the next one. */
+  passed({ x, y }, vertex, next) {
+    const [ax, ay] = this.floor.standing(vertex), [bx, by] = this.floor.standing(next);
     return (x - ax) * (bx - ax) + (y - ay) * (by - ay) > 0;
   }
 
@@ -454,10 +474,10 @@ class Scene {
   }
 
   drawGoal(ctx, vertex) {
-    const place = this.floor.placeOf.get(vertex);
-    const [x, y] = place ? [place.x, place.y] : this.floor.xy[vertex];
+    const place = this.floor.placeOf.get(vertex), [x, y] = this.floor.standing(vertex);
+    const { length, width } = this.recording.head;
     ctx.beginPath();
-    if (place?.spur) addBox(ctx, x, y, place.angle, this.recording.head.length + 1.1, this.recording.head.width + 0.9);
+    if (place?.spur) addBox(ctx, x, y, place.angle, length + 1.1, width + 0.9);
     else ctx.arc(x, y, 2.6, 0, 7);
     ctx.stroke();
   }
@@ -468,7 +488,7 @@ class Scene {
   drawDeadlock(ctx, view, colors, { members, waits }, agvs) {
     view.apply(ctx);
     ctx.strokeStyle = colors.lock;
-    ctx.lineWidth = Math.max(0.35, 2.5 / view.scale);
+    ctx.lineWidth = view.thick(0.35, 2.5, 4);
     for (const member of members) {
       if (!agvs[member]) continue;
       ctx.beginPath();
@@ -495,7 +515,7 @@ class Scene {
     if (!at) return;
     view.apply(ctx, at.x, at.y, at.angle);
     ctx.strokeStyle = colors.ink;
-    ctx.lineWidth = Math.max(0.16, 1.6 / view.scale);
+    ctx.lineWidth = 2 / view.scale;
     ctx.beginPath();
     ctx.roundRect(-3.1, -1.75, 6.2, 3.5, 0.9);
     ctx.stroke();

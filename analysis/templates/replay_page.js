@@ -184,8 +184,8 @@ class Player {
 class TimeBar {
   constructor(player) {
     this.player = player;
-    this.top = 16;
-    this.base = 48;
+    this.top = 22;
+    this.base = 56;
   }
 
   x(time, width) {
@@ -230,17 +230,40 @@ class TimeBar {
     ctx.fillRect(0, this.top, width, this.base - this.top);
     this.drawArea(ctx, width, (k, c) => c.line_parked[k], colors["slot-edge"], 0.55);
     this.drawArea(ctx, width, (k, c) => c.line_queue[k] + c.line_waiting[k], colors.fetch, 0.75);
-    for (const lock of head.deadlocks) {
-      const from = this.x(Math.max(lock.from, head.start), width), to = this.x(Math.min(lock.to, head.end), width);
-      ctx.fillStyle = colors.lock;
-      ctx.globalAlpha = 0.22;
-      ctx.fillRect(from, this.top, Math.max(2, to - from), this.base - this.top);
-      ctx.globalAlpha = 1;
-      ctx.fillRect(from, this.base - 4, Math.max(3, to - from), 4);
-    }
+    this.drawDeadlocks(ctx, width);
     ctx.fillStyle = colors.bad;
     for (const { time } of head.incidents) this.triangle(ctx, this.x(time, width));
     this.drawScale(ctx, width);
+    this.drawCaption(ctx, width);
+  }
+
+  /** A tinted band from finding to end, and a solid foot; where deadlocks overlap it is no darker. */
+  drawDeadlocks(ctx, width) {
+    const { head, colors } = this.player, bands = new Path2D(), feet = new Path2D();
+    for (const lock of head.deadlocks) {
+      const from = this.x(Math.max(lock.from, head.start), width), to = this.x(Math.min(lock.to, head.end), width);
+      bands.rect(from, this.top, Math.max(2, to - from), this.base - this.top);
+      feet.rect(from, this.base - 4, Math.max(3, to - from), 4);
+    }
+    ctx.fillStyle = colors.lock;
+    ctx.globalAlpha = 0.2;
+    ctx.fill(bands);
+    ctx.globalAlpha = 1;
+    ctx.fill(feet);
+  }
+
+  drawCaption(ctx, width) {
+    const { colors } = this.player;
+    let x = width;
+    ctx.textAlign = "right";
+    for (const [text, color] of [["deadlocks", colors.lock], ["cars parked", colors["slot-edge"]], ["customers waiting", colors.fetch]]) {
+      ctx.fillStyle = colors.soft;
+      ctx.fillText(text, x, 11);
+      x -= ctx.measureText(text).width + 13;
+      ctx.fillStyle = color;
+      ctx.fillRect(x, 3, 8, 8);
+      x -= 14;
+    }
   }
 
   triangle(ctx, x) {
@@ -350,17 +373,21 @@ class Panel {
       make("dd", {}, `${value}`, of === null ? null : make("small", { textContent: ` / ${of}` })))));
   }
 
-  // --- rows: {color, name, text, battery, follow or seek, pressed}
+  // --- rows: {color, name, text, bad, battery, follow or seek, pressed}
 
   agvRows({ agvs, deadlocks }) {
-    return agvs.map((agv) => ({
-      color: this.player.scene.color(this.player.colors, agv),
-      name: `AGV ${agv.agv}`,
-      text: deadlocks.some((lock) => lock.members.includes(agv.agv)) ? "in a deadlock" : this.doing(agv),
-      battery: agv.soc,
-      follow: { agv: agv.agv },
-      pressed: this.player.followed?.agv === agv.agv,
-    }));
+    return agvs.map((agv) => {
+      const stuck = deadlocks.some((lock) => lock.members.includes(agv.agv));
+      return {
+        color: this.player.scene.color(this.player.colors, agv),
+        name: `AGV ${agv.agv}`,
+        text: stuck ? "in a deadlock" : this.doing(agv),
+        bad: stuck,
+        battery: agv.soc,
+        follow: { agv: agv.agv },
+        pressed: this.player.followed?.agv === agv.agv,
+      };
+    });
   }
 
   doing(agv) {
@@ -405,12 +432,12 @@ class Panel {
     return `AGV ${members.join(", ")}${where ? ` at ${where}` : ""}: ${cause}${failed} → ${end}`;
   }
 
-  row({ color, name, text, battery, follow, seek, pressed }) {
+  row({ color, name, text, bad, battery, follow, seek, pressed }) {
     const act = () => (follow ? this.player.follow(pressed ? null : follow) : this.player.seek(seek));
     const dot = make("i", { className: "dot" });
     dot.style.setProperty("--dot", color);
     const node = make("button", { className: follow ? "row" : "row lock", onclick: act, title: text }, dot,
-      make("b", { textContent: name }), make("span", { textContent: text }),
+      make("b", { textContent: name }), make("span", { textContent: text, className: bad ? "bad" : "" }),
       battery === undefined ? null : this.battery(battery));
     node.setAttribute("aria-pressed", pressed);
     return node;
