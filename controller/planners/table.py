@@ -16,6 +16,7 @@ from sumo_nets.graph import Graph
 PLANNERS: dict[str, tuple[str, str, str]] = {
     "whca": ("controller.planners.whca", "make_whca", "WhcaOptions"),
     "token": ("controller.planners.token", "make_token", "TokenOptions"),
+    "pbs": ("controller.planners.pbs", "make_pbs", "PbsOptions"),
     "astar": ("controller.planners.astar", "make_astar", ""),
     "dstar_lite": ("controller.planners.dstar_lite", "make_dstar_lite", ""),
     "binary_tree": ("controller.planners.binary_tree", "make_binary_tree", "BinaryTreeOptions"),

@@ -46,13 +46,13 @@ class ReservationTable:
             done = _add_path(self.rows, self.count, vertices, times, path.agv, self.following, done)
             if done == len(vertices):
                 return
-            self._grow()
+            self.grow()
 
     def hold(self, vertex: int, start: int, end: int, agv: int) -> None:
         """Reserve one vertex for the steps ``start`` to ``end`` (exclusive)."""
         self._note(agv, np.array([vertex], dtype=np.int32))
-        while not _fill(self.rows, self.count, vertex, start, end, agv, -1):
-            self._grow()
+        while not fill(self.rows, self.count, vertex, start, end, agv, -1):
+            self.grow()
 
     def remove(self, agv: int) -> None:
         """Take back all reservations of an agent; nothing happens if it has none."""
@@ -81,12 +81,13 @@ class ReservationTable:
     def _note(self, agv: int, vertices: IntArray) -> None:
         self._touched.setdefault(agv, []).append(vertices)
 
-    def _grow(self) -> None:
+    def grow(self) -> None:
+        """Double the room for intervals."""
         self.rows = np.concatenate((self.rows, np.zeros_like(self.rows)), axis=1)
 
 
 @njit(cache=True)
-def _fill(rows: IntArray, count: IntArray, v: int, start: int, end: int, agv: int, after: int) -> bool:
+def fill(rows: IntArray, count: IntArray, v: int, start: int, end: int, agv: int, after: int) -> bool:
     """Add the parts of ``[start, end)`` that are still free; False if the row may not have room for them."""
     k = 0
     while start < end:
@@ -120,7 +121,7 @@ def _add_path(
     for i in range(done, last + 1):
         start = 0 if i == 0 else (times[0, i] if following else times[1, i - 1])
         end = times[1, i] if i == last else times[0, i + 1]
-        if not _fill(rows, count, vertices[i], start, end, agv, -1 if i == last else vertices[i + 1]):
+        if not fill(rows, count, vertices[i], start, end, agv, -1 if i == last else vertices[i + 1]):
             return i
     return last + 1
 
