@@ -58,6 +58,7 @@ class Costs:
 
         A blocked vertex may be where a way ends. ``FOREVER`` where there is no way.
         """
+        table: IntArray
         table, expanded = _dijkstra(start, self._blocked if blocked is None else blocked, *self._out_of)
         self.expanded += expanded
         return table

@@ -149,7 +149,7 @@ class FaultyPlant:
                 self._begin(Fault(self._now_s, kind, delay * self.motion.step_s, command.agv))
             return
         due = max(self._step + delay, body.inbox[-1][0] if body.inbox else 0)
-        if due <= self._step:
+        if due <= self._step and not body.inbox:
             self._deliver(command)
             return
         report = self._begin_report(kind, (command.agv,)) if delay else None
