@@ -8,12 +8,15 @@ Guarantee: in a well-formed garage (slots, bays, homes and chargers are end poin
 is a way that passes no other) no deadlock can arise, since every accepted set of paths can be carried out to its end.
 Limits: not optimal; an agent's path never makes another one give way.
 
-Departure from the paper: AGVs have priorities and are planned in that order.
+Departures from the paper: AGVs have priorities and are planned in that order. Slots are end points even where they are
+empty and a way leads through them, which keeps a garage well-formed and its distances the same while it fills.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
@@ -46,7 +49,9 @@ class Token:
 
     def __init__(self, space: Space, options: TokenOptions) -> None:
         self.options = options
-        self.distances = Distances(space)
+        self._slots = np.zeros(len(space.graph.names), dtype=np.uint8)
+        self._slots[list(space.graph.slots)] = 1
+        self.distances = Distances(space, ends=self._slots)
         self.table = ReservationTable(len(space.graph.names), space.motion.following)
         self._search = PathSearch(self.distances)
 
@@ -57,6 +62,7 @@ class Token:
             SOLVED with a path for each agent; PARTIAL when some of them keep what they have, with who is in their way.
         """
         self.distances.counters[:] = 0
+        problem = replace(problem, blocked=problem.blocked | self._slots)
         self._search.begin(problem)
         self.table.clear()
         carried: dict[int, Path] = {}

@@ -2,14 +2,18 @@
 
 A state is an edge: "at its head, having come over it", so that turns count. The search runs backwards from the goal and
 is aimed at the first vertex that asked; a later question resumes it where it stopped. Other agents are ignored, blocked
-vertices are not: they may be left, never driven into, unless they are the goal or the asker's own vertex.
+vertices are not: they may be left, never driven into, unless they are the goal. (An agent that starts on a blocked
+vertex may come back to it; that its best way leads through it a second time is left out of account.)
 
-Departure from the paper: durations differ per edge, turns cost time, and the estimate is the larger of the Manhattan
-and the Euclidean distance times the fastest pace of any edge (consistent, so a closed state is final).
+Departures from the paper: durations differ per edge, turns cost time, and the estimate is the larger of the Manhattan
+and the Euclidean distance times the fastest pace of any edge (consistent, so a closed state is final). Places from which
+AGVs set out again and again (homes, bays, chargers) get a table of exact distances from there, made once: a search aimed
+at such a place then goes straight to it.
 """
 
 from __future__ import annotations
 
+import heapq
 from collections import OrderedDict
 from typing import NamedTuple
 
@@ -24,7 +28,7 @@ from sumo_nets.graph import FloatArray, IntArray
 #: Columns of ``Field.states``: g + 1 (0: not seen yet), f, place in OPEN + 1 (-1: closed), and OPEN itself.
 G, F, PLACE, OPEN = 0, 1, 2, 3
 #: Places of ``Field.meta``.
-SIZE, GOAL, LOADED, EXEMPT = 0, 1, 2, 3
+SIZE, GOAL, LOADED = 0, 1, 2
 
 
 class Field(NamedTuple):
@@ -32,17 +36,24 @@ class Field(NamedTuple):
 
     Attributes:
         states: shape (m, 4), int32; zeroed memory that is not touched costs nothing.
-        meta: number of states in OPEN, the goal, 1 if loaded, and a vertex exempt from being blocked or -1.
+        meta: number of states in OPEN, the goal, and 1 if loaded.
         aim: x, y of the vertex it is aimed at, steps per metre by Manhattan and by Euclidean distance.
+        ahead: at least so many steps from the vertex it is aimed at over each edge, shape (m,); (0,) if not known.
     """
 
     states: IntArray
     meta: IntArray
     aim: FloatArray
+    ahead: IntArray
 
 
 class Distances:
-    """Distance fields by (goal, loaded, exempt vertex), the least recently used ones dropped beyond ``max_bytes``.
+    """Distance fields by (goal, loaded), the least recently used ones dropped beyond ``max_bytes``.
+
+    Args:
+        space: the garage.
+        max_bytes: memory for fields.
+        ends: shape (n,), 1 at vertices that are never driven through, whatever ``update`` says; None for none.
 
     Attributes:
         space: the garage.
@@ -50,11 +61,20 @@ class Distances:
         counters: search work so far, int64: expanded, heap moves, generated, valid.
     """
 
-    def __init__(self, space: Space, max_bytes: int = 1 << 29) -> None:
+    def __init__(self, space: Space, max_bytes: int = 1 << 29, ends: NDArray[np.uint8] | None = None) -> None:
         self.space = space
+        n = len(space.lanes.xy)
+        self._ends = np.zeros(n, dtype=np.uint8) if ends is None else ends
+        roles = space.graph.roles
+        self._hubs = frozenset((*roles["home"], *roles["bay"], *roles["charger"]))
+        self._from_hub: dict[tuple[int, bool], IntArray] = {}
+        motion = space.motion
+        self._speeds_differ = bool(
+            (motion.edge_steps[0] != motion.edge_steps[1]).any() or (motion.turn_steps[0] != motion.turn_steps[1]).any()
+        )
         self.blocked: NDArray[np.uint8] = np.zeros(len(space.lanes.xy), dtype=np.uint8)
         self.counters: NDArray[np.int64] = np.zeros(4, dtype=np.int64)
-        self._fields: OrderedDict[tuple[int, bool, int], Field] = OrderedDict()
+        self._fields: OrderedDict[tuple[int, bool], Field] = OrderedDict()
         self._cap = max(64, max_bytes // (16 * max(1, len(space.lanes.tail))))
 
     def update(self, blocked: NDArray[np.uint8]) -> None:
@@ -67,12 +87,12 @@ class Distances:
                 del self._fields[key]
 
     def field(self, goal: int, loaded: bool, asker: int) -> Field:
-        """The field of a goal, new ones aimed at the vertex ``asker``, which may be driven into though blocked."""
-        exempt = asker if self.blocked[asker] else -1
-        key = (goal, loaded, exempt)
+        """The field of a goal, new ones aimed at the vertex ``asker``."""
+        loaded = loaded and self._speeds_differ
+        key = (goal, loaded)
         field = self._fields.get(key)
         if field is None:
-            field = self._new_field(goal, loaded, exempt, asker)
+            field = self._new_field(goal, loaded, asker)
             self._fields[key] = field
             if len(self._fields) > self._cap:
                 self._fields.popitem(last=False)
@@ -97,15 +117,55 @@ class Distances:
         field = self.field(goal, loaded, vertex)
         return int(distance_from(vertex, in_edge, field, self.space.lanes, self.blocked, self.counters))
 
-    def _new_field(self, goal: int, loaded: bool, exempt: int, asker: int) -> Field:
+    def _new_field(self, goal: int, loaded: bool, asker: int) -> Field:
         s = self.space
         field = Field(
             np.zeros((len(s.lanes.tail), 4), dtype=np.int32),
-            np.array([0, goal, loaded, exempt], dtype=np.int32),
+            np.array([0, goal, loaded], dtype=np.int32),
             np.array([*s.lanes.xy[asker], *s.rates[int(loaded)]]),
+            self._ahead(asker, loaded) if asker in self._hubs else np.zeros(0, dtype=np.int32),
         )
         _begin(field, s.lanes, self.counters)
         return field
+
+    def _ahead(self, hub: int, loaded: bool) -> IntArray:
+        table = self._from_hub.get((hub, loaded))
+        if table is None:
+            table = _forward(hub, loaded, self.space.lanes, self._ends, self.counters)
+            self._from_hub[hub, loaded] = table
+        return table
+
+
+@njit(cache=True)
+def _forward(
+    hub: int, loaded: bool, lanes: Lanes, ends: NDArray[np.uint8], counters: NDArray[np.int64]
+) -> IntArray:
+    """Dijkstra from a vertex over edges: least steps until each edge has been driven, the first without a turn."""
+    row = int(loaded)
+    g = np.full(len(lanes.tail), FOREVER, dtype=np.int32)
+    OPEN = [(np.int32(0), np.int32(0))]
+    OPEN.pop()
+    for e in range(lanes.first_out[hub], lanes.first_out[hub + 1]):
+        g[e] = lanes.edge_steps[row, e]
+        heapq.heappush(OPEN, (g[e], np.int32(e)))
+    while OPEN:
+        cost, e = heapq.heappop(OPEN)
+        if cost > g[e]:
+            continue
+        counters[EXPANDED] += 1
+        counters[VALID] += 1
+        v = lanes.head[e]
+        if ends[v]:
+            continue
+        for out in range(lanes.first_out[v], lanes.first_out[v + 1]):
+            turn = lanes.turn_steps[row, lanes.first_transition[e] + out - lanes.first_out[v]]
+            there = np.int32(cost + turn + lanes.edge_steps[row, out])
+            if turn < NEVER and there < g[out]:
+                g[out] = there
+                counters[GENERATED] += 1
+                counters[HEAP_MOVES] += 1
+                heapq.heappush(OPEN, (there, np.int32(out)))
+    return g
 
 
 @njit(cache=True)
@@ -148,14 +208,20 @@ def settle(edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], co
                 continue
             g = states[out, G] + lanes.edge_steps[loaded, out] + turn
             if states[e, G] == 0 or g < states[e, G]:
-                _push(e, g, _estimate(v, field.aim, lanes.xy), states, meta, counters)
+                _push(e, g, _estimate(e, field, lanes), states, meta, counters)
     return int(states[edge, G]) - 1
+
+
+@njit(cache=True)
+def closed(edge: int, field: Field) -> bool:
+    """The exact distance of an edge is known already."""
+    return bool(field.states[edge, PLACE] == -1)
 
 
 @njit(cache=True)
 def at_least(edge: int, goal: int, field: Field, lanes: Lanes) -> int:
     """A bound below the remaining steps from an edge to the goal, without any search; exact where it is closed."""
-    if field.states[edge, PLACE] == -1:
+    if closed(edge, field):
         return int(field.states[edge, G]) - 1
     w = lanes.head[edge]
     dx = abs(lanes.xy[w, 0] - lanes.xy[goal, 0])
@@ -165,7 +231,7 @@ def at_least(edge: int, goal: int, field: Field, lanes: Lanes) -> int:
 
 @njit(cache=True)
 def _may_enter(v: int, field: Field, blocked: NDArray[np.uint8]) -> bool:
-    return not blocked[v] or v == field.meta[GOAL] or v == field.meta[EXEMPT]
+    return not blocked[v] or v == field.meta[GOAL]
 
 
 @njit(cache=True)
@@ -177,7 +243,7 @@ def _differs(changed: IntArray, field: Field, lanes: Lanes, blocked: NDArray[np.
     """
     states, loaded = field.states, field.meta[LOADED]
     for w in changed:
-        if w == field.meta[GOAL] or w == field.meta[EXEMPT]:
+        if w == field.meta[GOAL]:
             continue
         for i in range(lanes.first_in[w], lanes.first_in[w + 1]):
             out = lanes.in_edges[i]
@@ -196,15 +262,19 @@ def _differs(changed: IntArray, field: Field, lanes: Lanes, blocked: NDArray[np.
 @njit(cache=True)
 def _begin(field: Field, lanes: Lanes, counters: NDArray[np.int64]) -> None:
     goal = field.meta[GOAL]
-    h = _estimate(goal, field.aim, lanes.xy)
     for i in range(lanes.first_in[goal], lanes.first_in[goal + 1]):
-        _push(lanes.in_edges[i], 1, h, field.states, field.meta, counters)
+        e = lanes.in_edges[i]
+        _push(e, 1, _estimate(e, field, lanes), field.states, field.meta, counters)
 
 
 @njit(cache=True)
-def _estimate(v: int, aim: FloatArray, xy: FloatArray) -> int:
-    dx = abs(xy[v, 0] - aim[0])
-    dy = abs(xy[v, 1] - aim[1])
+def _estimate(edge: int, field: Field, lanes: Lanes) -> int:
+    """At least so many steps from the vertex the search is aimed at until the edge has been driven."""
+    if len(field.ahead) > 0:
+        return int(field.ahead[edge])
+    v, aim = lanes.head[edge], field.aim
+    dx = abs(lanes.xy[v, 0] - aim[0])
+    dy = abs(lanes.xy[v, 1] - aim[1])
     return int(max(aim[2] * (dx + dy), aim[3] * np.sqrt(dx * dx + dy * dy)))
 
 

@@ -16,7 +16,7 @@ The exact distance of a state is only asked for when its turn comes, until then 
 Departures from the papers: turns take time before a departure; with ``following`` False an agent owns both ends of an
 edge while it drives; with ``following`` True a move that would close a ring of agents, each entering the vertex that
 the next one leaves in the same step (a swap is the ring of two), is not allowed.
-Guarantee: the path of least f, or none if there is none. Ties: smaller f, then larger g, then the older state.
+Guarantee: the path of least f, or none if there is none. Ties: smaller f, exact h before a bound, larger g, the older state.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.search.distances import Distances, Field, at_least, distance_from, settle
+from controller.search.distances import Distances, Field, at_least, closed, distance_from, settle
 from controller.search.reservations import AGENT, END, NEXT, START, ReservationTable
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes
 from controller.types import FOREVER, NEVER, Path, PlanAgent, PlanningProblem
@@ -189,8 +189,8 @@ def _sipp(
     h = 0
     if goal >= 0:
         h = distance_from(start, query[Q_EDGE], field, lanes, blocked, counters)
-    _generate(-1, start, 0, query[Q_READY], 0, _safe_until(rows, count, start, 0, window), h, -1, query,
-              no_rest, memory, counters)  # fmt: skip
+    _generate(-1, start, 0, query[Q_READY], 0, _safe_until(rows, count, start, 0, window), h, True, -1,
+              query, no_rest, memory, counters)  # fmt: skip
     expanded = 0
     while meta[SIZE] > 0:
         n = memory.open[0]
@@ -265,7 +265,7 @@ def _sipp(
                     continue
                 if meta[NODES] == nodes.shape[0]:
                     return FULL
-                _generate(e, w, k, a, a - steps, end, h, n, query, no_rest, memory, counters)
+                _generate(e, w, k, a, a - steps, end, h, closed(e, field), n, query, no_rest, memory, counters)
                 if end >= FOREVER:
                     break
     return wait_node
@@ -273,7 +273,7 @@ def _sipp(
 
 @njit(cache=True)
 def _generate(
-    edge: int, vertex: int, slot: int, t: int, leave: int, last: int, h: int, parent: int, query: IntArray,
+    edge: int, vertex: int, slot: int, t: int, leave: int, last: int, h: int, exact: bool, parent: int, query: IntArray,
     no_rest: NDArray[np.uint8], memory: _Memory, counters: NDArray[np.int64],
 ) -> None:  # fmt: skip
     """Put a state on OPEN unless it has been reached as early; an older node of the same state becomes stale."""
@@ -304,7 +304,7 @@ def _generate(
     nodes[n, PARENT] = parent
     nodes[n, OLDER] = older
     nodes[n, STALE] = 0
-    nodes[n, EXACT] = edge < 0
+    nodes[n, EXACT] = exact
     if query[Q_GOAL] < 0:
         nodes[n, FINAL] = last >= FOREVER and not no_rest[vertex]
     else:
@@ -366,9 +366,11 @@ def _trace(last: int, nodes: IntArray) -> IntArray:
 
 @njit(cache=True)
 def _before(a: int, b: int, nodes: IntArray) -> bool:
-    """Order of OPEN: smaller f, then larger g, then the older node."""
+    """Order of OPEN: smaller f, then those with an exact distance, then larger g, then the older node."""
     if nodes[a, FKEY] != nodes[b, FKEY]:
         return bool(nodes[a, FKEY] < nodes[b, FKEY])
+    if nodes[a, EXACT] != nodes[b, EXACT]:
+        return bool(nodes[a, EXACT])
     if nodes[a, T] != nodes[b, T]:
         return bool(nodes[a, T] > nodes[b, T])
     return a < b
