@@ -40,7 +40,8 @@ def pairs(vertices):
 
 
 def solved(problem, ways):
-    return PlanResult(Status.SOLVED, {a.agv: timed(problem, a, way) for a, way in zip(problem.agents, ways, strict=True)})
+    paths = {a.agv: timed(problem, a, way) for a, way in zip(problem.agents, ways, strict=True)}
+    return PlanResult(Status.SOLVED, paths)
 
 
 def selfish(problem):
