@@ -91,7 +91,7 @@ def closest_moving(tail: IntArray, head: IntArray, shapes: Sequence[FloatArray])
     """
     standing = standing_bodies(shapes)
     least: ClosestBodies | None = None
-    for moving, before, onto in _passages(tail, head, shapes):
+    for moving, before, onto in driving_bodies(tail, head, shapes):
         a, b = _close_pairs(moving, standing)
         free = (head[b] != head[before[a]]) & (head[b] != head[onto[a]])
         free &= ~_twins(tail, head, before[a], b) & ~_twins(tail, head, onto[a], b)
@@ -101,10 +101,18 @@ def closest_moving(tail: IntArray, head: IntArray, shapes: Sequence[FloatArray])
     return least
 
 
-def _passages(
+def driving_bodies(
     tail: IntArray, head: IntArray, shapes: Sequence[FloatArray]
 ) -> Iterator[tuple[FloatArray, IntArray, IntArray]]:
-    """Bodies on their way from lane to lane, with the lane each comes from and the lane it drives onto, in batches."""
+    """Bodies of AGVs on their way from every lane to every next one, but for ways that fold back.
+
+    Args:
+        tail, head: vertex indices of each lane's ends, shape (m,).
+        shapes: each lane's centre line in metres.
+
+    Yields:
+        In batches: bodies as in :func:`standing_bodies`, the lane each comes from and the lane it drives onto.
+    """
     leaving: dict[int, list[int]] = {}
     for lane, v in enumerate(tail.tolist()):
         leaving.setdefault(v, []).append(lane)

@@ -252,19 +252,11 @@ def parse_layout(text: str, source: str = "layout") -> Layout:
     Raises:
         LayoutError: bad YAML, an unknown or missing key, a value out of range; one line.
     """
-    try:
-        data = yaml.load(text, Loader=_Loader)
-    except yaml.MarkedYAMLError as err:
-        line = f"line {err.problem_mark.line + 1}" if err.problem_mark else "unreadable"
-        raise LayoutError(f"{source}: {line}: {err.problem}") from None
-    except yaml.YAMLError as err:
-        raise LayoutError(f"{source}: not YAML: {' '.join(str(err).split())}") from None
-    if not isinstance(data, dict):
-        raise LayoutError(f"{source}: a layout is a mapping of keys, beginning with name:, not {type(data).__name__}")
+    data = _mapping_of(text, source, "layout")
     try:
         return Layout.model_validate(data)
     except ValidationError as err:
-        raise LayoutError(f"{source}: {_first_error(err)}") from None
+        raise LayoutError(f"{source}: {first_error(err, Layout)}") from None
 
 
 def load_layout(path: str | Path) -> Layout:
@@ -279,22 +271,54 @@ def load_layout(path: str | Path) -> Layout:
     Raises:
         LayoutError: the file can't be read or is not a valid layout; one line.
     """
+    return parse_layout(_read(path, "layout"), str(path))
+
+
+def load_mapping(path: str | Path, what: str) -> dict[str, Any]:
+    """Read a YAML file that is a mapping of keys.
+
+    Args:
+        path: the file.
+        what: what it should be, for errors.
+
+    Returns:
+        Its keys and values, not checked further.
+
+    Raises:
+        LayoutError: it can't be read, is not YAML, gives a key twice, or is no mapping; one line.
+    """
+    return _mapping_of(_read(path, what), str(path), what)
+
+
+def _read(path: str | Path, what: str) -> str:
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as err:
         reason = err.strerror if isinstance(err, OSError) else "not UTF-8 text"
-        raise LayoutError(f"{path}: can't read the layout: {reason}") from None
-    return parse_layout(text, str(path))
+        raise LayoutError(f"{path}: can't read the {what}: {reason}") from None
 
 
-def _first_error(err: ValidationError) -> str:
-    """One line for the first thing that is wrong: field, value, what would be valid."""
+def _mapping_of(text: str, source: str, what: str) -> dict[str, Any]:
+    try:
+        data = yaml.load(text, Loader=_Loader)
+    except yaml.MarkedYAMLError as err:
+        line = f"line {err.problem_mark.line + 1}" if err.problem_mark else "unreadable"
+        raise LayoutError(f"{source}: {line}: {err.problem}") from None
+    except yaml.YAMLError as err:
+        raise LayoutError(f"{source}: not YAML: {' '.join(str(err).split())}") from None
+    if not isinstance(data, dict):
+        raise LayoutError(f"{source}: a {what} is a mapping of keys, beginning with name:, not {type(data).__name__}")
+    return data
+
+
+def first_error(err: ValidationError, model: type[BaseModel]) -> str:
+    """One line for the first thing that is wrong with a model: field, value, what would be valid."""
     # a misspelt key is also a missing one: the misspelling says more
     first = min(err.errors(include_url=False), key=lambda error: error["type"] != "extra_forbidden")
     field = ""
     for part in first["loc"]:
         field += f"[{part}]" if isinstance(part, int) else f".{part}" if field else part
-    known = ", ".join(Layout.model_fields)
+    known = ", ".join(model.model_fields)
     if first["type"] == "extra_forbidden":
         return f"{field}: unknown key" + (f"; valid are {known}" if len(first["loc"]) == 1 else "")
     if first["type"] == "missing":

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from sumo_nets.bodies import MIN_GAP_M, closest_standing
-from sumo_nets.graph import ROLES, FloatArray, Role
+from sumo_nets.graph import ROLES, FloatArray, IntArray, Role
 from sumo_nets.layout import FIELD_OF_ROLE, STEP, Layout, LayoutError, Side, Spurs, StreetPlan, run_cells
 
 #: Side of the small square that is a vertex; lanes end at its rim, so a lane is this much shorter than its pitch.
@@ -75,6 +75,13 @@ class GaragePlan:
     roles: dict[Role, list[str]] = field(default_factory=lambda: {role: [] for role in ROLES})
     street: tuple[Point, ...] = ()
     places: tuple[BayPlaces, ...] = ()
+
+    def lane_arrays(self) -> tuple[IntArray, IntArray, list[FloatArray]]:
+        """Tail and head of each lane as places in ``vertices``, and its shape as netconvert will cut it."""
+        index = {name: i for i, name in enumerate(self.vertices)}
+        tail = np.array([index[lane.tail] for lane in self.lanes.values()], dtype=np.int32)
+        head = np.array([index[lane.head] for lane in self.lanes.values()], dtype=np.int32)
+        return tail, head, [_trimmed(lane) for lane in self.lanes.values()]
 
 
 def plan_garage(layout: Layout, source: str = "") -> GaragePlan:
@@ -181,7 +188,7 @@ class _Planner:
             (cell_name((cell[0] + dx, cell[1] + dy)), aisle) in self.plan_.lanes
         ):
             raise _MisfitError(f"{where}: the {side} side of {list(cell)} is taken; choose a free side")
-        for k, name in enumerate(_spur_names(role, cell, side, per_cell)):
+        for k, name in enumerate(spur_names(role, cell, side, per_cell)):
             between = self._place_spur(name, aisle, (dx, -dy), per_cell, k)
             self._add_lane(aisle, name, between, True)
             self.made_by[name] = where
@@ -193,7 +200,7 @@ class _Planner:
         yield cell_name((cell[0] + dx, cell[1] + dy))
         for role in ROLES:
             for per_cell in (1, 2):
-                yield from _spur_names(role, cell, side, per_cell)
+                yield from spur_names(role, cell, side, per_cell)
 
     def _place_spur(self, name: str, aisle: str, out: tuple[int, int], per_cell: int, k: int) -> tuple[Point, ...]:
         """Set the spur's vertex and return the points between it and the aisle."""
@@ -211,13 +218,10 @@ class _Planner:
         return tuple(between)
 
     def _check_room(self) -> None:
-        lanes = list(self.plan_.lanes.values())
-        index = {name: i for i, name in enumerate(self.plan_.vertices)}
-        tail = np.array([index[lane.tail] for lane in lanes], dtype=np.int32)
-        head = np.array([index[lane.head] for lane in lanes], dtype=np.int32)
-        closest = closest_standing(tail, head, [_trimmed(lane) for lane in lanes])
+        closest = closest_standing(*self.plan_.lane_arrays())
         if closest is None or closest.gap_m >= MIN_GAP_M:
             return
+        lanes = list(self.plan_.lanes.values())
         a, b = lanes[closest.first], lanes[closest.second]
         raise _MisfitError(
             f"{self.made_by[a.head]}: an AGV at {a.head} would have {closest.gap_m:.2f} m to one at {b.head}"
@@ -269,7 +273,8 @@ def cell_name(cell: tuple[int, int]) -> str:
     return f"c{cell[0]}_{cell[1]}"
 
 
-def _spur_names(role: Role, cell: tuple[int, int], side: Side, per_cell: int) -> list[str]:
+def spur_names(role: Role, cell: tuple[int, int], side: Side, per_cell: int) -> list[str]:
+    """Vertex names of the spurs on one side of an aisle cell."""
     stem = f"{role}{cell[0]}_{cell[1]}{side[0]}"
     return [stem] if per_cell == 1 else [f"{stem}1", f"{stem}2"]
 
@@ -280,4 +285,7 @@ def _trimmed(lane: Lane) -> FloatArray:
     for end, beside in ((0, 1), (-1, -2)):
         step = shape[beside] - shape[end]
         shape[end] += step * (NODE_SIZE_M / 2 / np.abs(step).max())
-    return shape
+    # a shape's point on the rim is its end now
+    moves = np.abs(np.diff(shape, axis=0)).max(axis=1) > 1e-9
+    distinct: FloatArray = shape[np.append(True, moves)]
+    return distinct

@@ -35,21 +35,20 @@ class Floor:
     clearance: float = 0.0
     outline: FloatArray | None = None
     edges: FloatArray = field(init=False)
+    _solid: FloatArray = field(init=False)
+    _rim: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
-        polygons = [*self.obstacles, *([] if self.outline is None else [self.outline])]
-        sides = [np.hstack([p, np.roll(p, -1, axis=0)]) for p in polygons]
-        edges = np.concatenate(sides) if sides else np.empty((0, 4))
-        object.__setattr__(self, "edges", np.ascontiguousarray(edges, dtype=np.float64))
+        object.__setattr__(self, "_solid", _sides(self.obstacles))
+        object.__setattr__(self, "_rim", _sides(() if self.outline is None else (self.outline,)))
+        object.__setattr__(self, "edges", np.concatenate([self._solid, self._rim]))
 
     def holds(self, point: Point) -> bool:
         """Whether a path may pass through the point."""
         x, y = point
         if not (0 <= x <= self.width and 0 <= y <= self.height):
             return False
-        if self.outline is not None and not is_inside(self.outline, x, y):
-            return False
-        if any(is_inside(polygon, x, y) for polygon in self.obstacles):
+        if winding(self._solid, x, y) != 0 or (len(self._rim) and winding(self._rim, x, y) == 0):
             return False
         return bool(is_clear(self.edges, self.clearance, x, y, x, y))
 
@@ -68,17 +67,27 @@ def path_length(path: FloatArray | Sequence[Point]) -> float:
     return float(np.hypot(*np.diff(np.asarray(path, dtype=np.float64), axis=0).T).sum())
 
 
+def _sides(polygons: Sequence[FloatArray]) -> FloatArray:
+    """Sides of polygons, all turning the same way, as (x0, y0, x1, y1), shape (m, 4)."""
+    sides = [np.empty((0, 4))]
+    for polygon in polygons:
+        x, y = polygon.T
+        turned = polygon if x @ np.roll(y, -1) >= y @ np.roll(x, -1) else polygon[::-1]
+        sides.append(np.hstack([turned, np.roll(turned, -1, axis=0)]))
+    return np.ascontiguousarray(np.concatenate(sides), dtype=np.float64)
+
+
 @njit(cache=True)
-def is_inside(polygon: FloatArray, x: float, y: float) -> bool:
-    """Whether a point lies inside a polygon, by the parity of crossings; on the rim either answer."""
-    inside = False
-    j = len(polygon) - 1
-    for i in range(len(polygon)):
-        xi, yi, xj, yj = polygon[i, 0], polygon[i, 1], polygon[j, 0], polygon[j, 1]
-        if (yi > y) != (yj > y) and x < (xj - xi) * (y - yi) / (yj - yi) + xi:
-            inside = not inside
-        j = i
-    return inside
+def winding(sides: FloatArray, x: float, y: float) -> int:
+    """How many of the polygons with these sides hold the point; on a rim either answer."""
+    turns = 0
+    for i in range(len(sides)):
+        ax, ay, bx, by = sides[i, 0] - x, sides[i, 1] - y, sides[i, 2] - x, sides[i, 3] - y
+        if ay <= 0 < by and ax * by > bx * ay:
+            turns += 1
+        elif by <= 0 < ay and ax * by < bx * ay:
+            turns -= 1
+    return turns
 
 
 @njit(cache=True)
@@ -96,14 +105,40 @@ def is_clear(edges: FloatArray, clearance: float, ax: float, ay: float, bx: floa
 
 
 @njit(cache=True)
-def segments_apart(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Least distance of each segment of ``a``, shape (n, 4), to the segments of ``b``, shape (m, 4)."""
-    apart = np.full(len(a), np.inf)
-    for i in range(len(a)):
-        for j in range(len(b)):
-            d = _segments_apart2(a[i, 0], a[i, 1], a[i, 2], a[i, 3], b[j, 0], b[j, 1], b[j, 2], b[j, 3])
-            apart[i] = min(apart[i], d)
-    distances: FloatArray = np.sqrt(apart)
+def room_around(bodies: FloatArray, length: float, width: float, edges: FloatArray, reach: float) -> FloatArray:
+    """Room between bodies and edges.
+
+    Args:
+        bodies: centre x, y and heading unit vector x, y of each body, shape (n, 4).
+        length, width: size of a body.
+        edges: shape (m, 4).
+        reach: room is not measured beyond this.
+
+    Returns:
+        Least distance of each body's rectangle to an edge, shape (n,): 0 if they touch or overlap, ``reach`` at most.
+    """
+    room = np.full(len(bodies), reach * reach)
+    far = reach + np.hypot(length, width) / 2
+    half_l, half_w = length / 2, width / 2
+    for i in range(len(bodies)):
+        x, y, hx, hy = bodies[i, 0], bodies[i, 1], bodies[i, 2], bodies[i, 3]
+        for j in range(len(edges)):
+            ax, ay, bx, by = edges[j, 0] - x, edges[j, 1] - y, edges[j, 2] - x, edges[j, 3] - y
+            if min(ax, bx) > far or max(ax, bx) < -far or min(ay, by) > far or max(ay, by) < -far:
+                continue
+            # in the body's frame: u forwards, v to the left
+            au, av, bu, bv = ax * hx + ay * hy, ay * hx - ax * hy, bx * hx + by * hy, by * hx - bx * hy
+            if abs(au) <= half_l and abs(av) <= half_w:
+                room[i] = 0.0
+                break
+            d = min(
+                _segments_apart2(au, av, bu, bv, -half_l, -half_w, half_l, -half_w),
+                _segments_apart2(au, av, bu, bv, -half_l, half_w, half_l, half_w),
+                _segments_apart2(au, av, bu, bv, -half_l, -half_w, -half_l, half_w),
+                _segments_apart2(au, av, bu, bv, half_l, -half_w, half_l, half_w),
+            )
+            room[i] = min(room[i], d)
+    distances: FloatArray = np.sqrt(room)
     return distances
 
 

@@ -1,0 +1,234 @@
+"""A floor plan as a text file: walls, pillars, and where slots, bays, homes and chargers may be.
+
+Lengths are metres, x to the right and y down, as on a drawing::
+
+    name: corner_garage
+    pitch_m: 8.1                          # length of a cell; 7.0 if not given
+    outline: [[0, 0], [60, 0], [60, 30], [0, 30]]           # the walls around the floor
+    walls:
+      - [[20, 12], [26, 12], [26, 15], [20, 15]]            # polygons: stairs, shafts, inner walls
+    pillars:
+      - {from: [8.1, 8.1], to: [56.7, 24.3], every: 8.1, size: 0.6}
+    slots:
+      - {box: [8.1, 0, 56.7, 8.1], opens: south}            # [left, top, right, bottom]; the aisle is to the south
+    bays:
+      - {box: [0, 8.1, 4, 24.3], opens: east, per_cell: 1}
+    homes: []                                               # and chargers: the same
+    street: {from: [-8, 30], to: [-8, 0]}                   # cars pass the bays on their right
+
+Instead of an outline, or with it, a picture may show the walls, dark on light::
+
+    picture: {file: plan.png, metres_per_pixel: 0.1, threshold: 0.5}
+
+A box holds as many places as fit: a place is in the box if its middle is. ``per_cell`` 2 (the default) puts two places
+side by side on a cell's spur, 1 puts one. ``origin: [x, y]`` fixes where the middle of a cell lies; by default the
+cells are shifted to where the most slots fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from sumo_nets.freespace.floor import Floor, rectangle
+from sumo_nets.graph import FloatArray, Role
+from sumo_nets.layout import FIELD_OF_ROLE, LayoutError, first_error, load_mapping
+
+Metre = Annotated[float, Field(ge=-1000, le=5000, allow_inf_nan=False)]
+Spot = tuple[Metre, Metre]
+Polygon = Annotated[tuple[Spot, ...], Field(min_length=3)]
+#: A floor is at most this wide or high, in metres and in pixels of a picture.
+_LARGEST_M, _LARGEST_PIXELS = 2000.0, 8000
+#: A picture with more rectangles than this is no drawing of walls.
+_MOST_SOLIDS = 5000
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Pillars(_Part):
+    """Square pillars on a grid.
+
+    Attributes:
+        start, to: middle of the first and of the last pillar, metres (``from`` and ``to`` in the file).
+        every: distance of their middles, metres.
+        size: side of a pillar, metres.
+    """
+
+    start: Spot = Field(alias="from")
+    to: Spot
+    every: Annotated[float, Field(ge=1, le=100)]
+    size: Annotated[float, Field(gt=0, le=5)]
+
+    def polygons(self) -> Iterator[FloatArray]:
+        """Their corners."""
+        half = self.size / 2
+        counts = [round(abs(b - a) / self.every) + 1 for a, b in zip(self.start, self.to, strict=True)]
+        steps = [self.every if b >= a else -self.every for a, b in zip(self.start, self.to, strict=True)]
+        for i, j in product(range(counts[0]), range(counts[1])):
+            x, y = self.start[0] + i * steps[0], self.start[1] + j * steps[1]
+            yield rectangle(x - half, y - half, x + half, y + half)
+
+
+class Box(_Part):
+    """An area for places of one role.
+
+    Attributes:
+        box: left, top, right, bottom in metres.
+        opens: the side on which the aisle runs.
+        per_cell: places on one cell's spur.
+    """
+
+    box: tuple[Metre, Metre, Metre, Metre]
+    opens: Literal["north", "east", "south", "west"]
+    per_cell: Literal[1, 2] = 2
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Box:
+        left, top, right, bottom = self.box
+        if left >= right or top >= bottom:
+            raise ValueError(f"box {list(self.box)} is empty; give [left, top, right, bottom], y down")
+        return self
+
+
+class Picture(_Part):
+    """Walls as the dark parts of a picture.
+
+    Attributes:
+        file: PNG, PGM or another format that Pillow reads; relative to the plan's folder.
+        metres_per_pixel: scale.
+        threshold: brightness below which a pixel is wall, 0 black to 1 white.
+    """
+
+    file: str
+    metres_per_pixel: Annotated[float, Field(ge=0.01, le=1)]
+    threshold: Annotated[float, Field(gt=0, lt=1)] = 0.5
+
+
+class Street(_Part):
+    """The street along the bays, driven from ``from`` to ``to``."""
+
+    start: Spot = Field(alias="from")
+    to: Spot
+
+
+class FloorPlan(_Part):
+    """A whole plan, as written in the file; the module's text explains every key."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=60)]
+    pitch_m: Annotated[float, Field(ge=6.0, le=20.0, allow_inf_nan=False)] = 7.0
+    origin: Spot | None = None
+    outline: Polygon | None = None
+    picture: Picture | None = None
+    walls: tuple[Polygon, ...] = ()
+    pillars: tuple[Pillars, ...] = ()
+    slots: Annotated[tuple[Box, ...], Field(min_length=1)]
+    bays: Annotated[tuple[Box, ...], Field(min_length=1)]
+    homes: Annotated[tuple[Box, ...], Field(min_length=1)]
+    chargers: tuple[Box, ...] = ()
+    street: Street
+
+    @model_validator(mode="after")
+    def _has_walls(self) -> FloorPlan:
+        if self.outline is None and self.picture is None:
+            raise ValueError("give outline: [[x, y], ...], or picture: {file, metres_per_pixel}")
+        return self
+
+
+def load_plan(path: str | Path) -> tuple[FloorPlan, Floor]:
+    """Read a floor plan, and its picture if it has one.
+
+    Args:
+        path: a YAML file.
+
+    Returns:
+        The plan, and the floor with its walls and pillars in metres.
+
+    Raises:
+        LayoutError: a file can't be read or is not a valid plan; one line.
+    """
+    source = Path(path)
+    if source.suffix.lower() in (".png", ".pgm"):
+        raise LayoutError(
+            f"{source}: a picture shows no bays and slots: write a .yaml with"
+            f" picture: {{file: {source.name}, metres_per_pixel: 0.1}}, slots, bays, homes and street"
+        )
+    try:
+        plan = FloorPlan.model_validate(load_mapping(source, "floor plan"))
+    except ValidationError as err:
+        raise LayoutError(f"{source}: {first_error(err, FloorPlan)}") from None
+    return plan, _walls(plan, source)
+
+
+def _walls(plan: FloorPlan, source: Path) -> Floor:
+    solids = [np.array(wall, dtype=np.float64) for wall in plan.walls]
+    for grid in plan.pillars:
+        solids += grid.polygons()
+    outline = np.array(plan.outline or np.empty((0, 2)), dtype=np.float64)
+    if plan.picture is not None:
+        dark = _dark(plan.picture, source)
+        scale = plan.picture.metres_per_pixel
+        solids += [scale * box for box in cover(dark)]
+        if not len(outline):
+            outline = rectangle(0, 0, dark.shape[1] * scale, dark.shape[0] * scale)
+    if outline.min() < 0 or outline.max() > _LARGEST_M:
+        raise LayoutError(f"{source}: outline: corners between 0 and {_LARGEST_M:g} m are valid")
+    if len(solids) > _MOST_SOLIDS:
+        raise LayoutError(f"{source}: {len(solids)} walls and pillars: at most {_MOST_SOLIDS} are valid")
+    width, height = outline.max(axis=0).tolist()
+    return Floor(width, height, tuple(solids), outline=outline)
+
+
+def _dark(picture: Picture, source: Path) -> NDArray[np.bool_]:
+    """Which pixels are wall, shape (rows, columns)."""
+    from matplotlib.image import imread
+
+    path = source.parent / picture.file
+    try:
+        pixels = np.asarray(imread(path))
+    except (OSError, SyntaxError, ValueError) as err:
+        reason = err.strerror if isinstance(err, OSError) and err.strerror else "not a picture"
+        raise LayoutError(f"{source}: picture.file: {picture.file}: can't be read: {reason}") from None
+    if max(pixels.shape[:2]) > _LARGEST_PIXELS:
+        raise LayoutError(f"{source}: picture.file: {picture.file}: at most {_LARGEST_PIXELS} pixels a side are valid")
+    bright = pixels / np.iinfo(pixels.dtype).max if np.issubdtype(pixels.dtype, np.integer) else pixels
+    if bright.ndim == 3:
+        # an alpha channel is no brightness: what is transparent is floor
+        colour = bright[..., :3].mean(axis=2) if bright.shape[2] >= 3 else bright[..., 0]
+        alpha = bright[..., -1] if bright.shape[2] in (2, 4) else np.ones(colour.shape)
+        bright = 1 - alpha * (1 - colour)
+    dark: NDArray[np.bool_] = bright < picture.threshold
+    return dark
+
+
+def cover(dark: NDArray[np.bool_]) -> list[FloatArray]:
+    """Cover the dark pixels with upright rectangles that don't overlap, in pixels.
+
+    Runs of a row that repeat in the rows below become one rectangle.
+    """
+    boxes: list[FloatArray] = []
+    open_runs: dict[tuple[int, int], int] = {}
+    for y in range(len(dark) + 1):
+        row = dark[y] if y < len(dark) else np.zeros(dark.shape[1], dtype=np.bool_)
+        ends = np.flatnonzero(np.diff(np.concatenate(([0], row.astype(np.int8), [0]))))
+        runs = {(int(a), int(b)) for a, b in ends.reshape(-1, 2)}
+        for run in [run for run in open_runs if run not in runs]:
+            boxes.append(rectangle(run[0], open_runs.pop(run), run[1], y))
+        for run in sorted(runs):
+            open_runs.setdefault(run, y)
+    return boxes
+
+
+def boxes_of(plan: FloorPlan) -> Iterator[tuple[Role, str, Box]]:
+    """Every box with its role and what to call it in an error."""
+    roles: tuple[Role, ...] = ("bay", "slot", "home", "charger")
+    for role in roles:
+        for i, box in enumerate(getattr(plan, FIELD_OF_ROLE[role])):
+            yield role, f"{FIELD_OF_ROLE[role]}[{i}]", box
