@@ -210,6 +210,8 @@ class Executor:
                     if not a.standing or run:
                         break
                     a.turned_to = w
+                    if self.graph.reverse[edge] >= 0:  # it stands now as if it had come from there
+                        a.in_edge = int(self.graph.reverse[edge])
                     if rotation:
                         commands.append(self.act(agv, Action.TURN, rotation, step))
                         break

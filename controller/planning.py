@@ -15,7 +15,7 @@ from controller.deadlock.waits import Progress, WaitGraph, wait_graph
 from controller.executor import Executor
 from controller.fleet import Agv, priority
 from controller.rules import Rules
-from controller.types import FOREVER, Counters, Path, PlanAgent, Planner, PlanningProblem, PlanResult
+from controller.types import FOREVER, AgvMode, Counters, Path, PlanAgent, Planner, PlanningProblem, PlanResult
 from controller.visits import retime
 
 Log = Callable[[str, int, str, int, dict[str, object]], None]
@@ -142,7 +142,8 @@ class Planning:
         result = self._planner(problem)
         result.counters.slot_choice, self.slot_choice = self.slot_choice, 0
         self._take(step, problem, result)
-        self._watch(step, problem)
+        if self._rules.resolve_deadlocks:
+            self._watch(step, problem)
         wall_s = perf_counter() - start
         status = result.status.value
         self.calls.append(
@@ -184,9 +185,9 @@ class Planning:
             stuck = (step - a.since) // self._rules.cell_steps
         ready = self._executor.ready_step(agv.number, step)
         dwell = self._rules.lift_bay
-        rank = priority(agv, stuck)
         goal = a.last if agv.goal in self._executor.closed else agv.goal
-        return PlanAgent(agv.number, a.last, a.in_edge, ready, goal, a.loaded, dwell, rank, a.turned_to)
+        avoids = self._rules.empty_avoid_slots and agv.mode is AgvMode.RETURNING_HOME_EMPTY
+        return PlanAgent(agv.number, a.last, a.in_edge, ready, goal, a.loaded, dwell, priority(agv, stuck), avoids)
 
     def _take(self, step: int, problem: PlanningProblem, result: PlanResult) -> None:
         paths = {path.agv: path for path in problem.fixed if path.agv < TRAIL} | dict(result.paths)

@@ -21,6 +21,8 @@ class Rules:
         charge_anywhere: an AGV on its way home may turn off to charge anywhere, not only in the slot it starts from.
         charge_unasked: AGVs go to charge though all requests are finished.
         around_cars: slots are chosen by the way around parked cars as they stand now.
+        resolve_deadlocks: deadlocks are looked for and resolved.
+        empty_avoid_slots: AGVs on their way home without a car do not pass through empty slots.
         keep_for_returning: each AGV on its way home keeps one open job from being taken by others (the thesis starts
             tasks while completed + active < wanted, and counts those on their way home as active).
         run_on_steps: the run goes on so long after the last task, or until all AGVs are idle.
@@ -39,6 +41,8 @@ class Rules:
     charge_anywhere: bool = True
     charge_unasked: bool = True
     around_cars: bool = False
+    resolve_deadlocks: bool = True
+    empty_avoid_slots: bool = False
     keep_for_returning: bool = False
     run_on_steps: int = 0
 

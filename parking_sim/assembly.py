@@ -113,7 +113,7 @@ def assemble(scenario: Scenario) -> World:
     scripted_faults(scenario.faults, net.graph, scenario.agvs)
     if scenario.plant == "discrete":
         ticks = _ticks(scenario)
-        motion, rules = ticks.motion(net.graph, scenario.planner), ticks.rules()
+        motion, rules = ticks.motion(net.graph, scenario.planner), ticks.rules(scenario.planner)
     else:
         from parking_sim.plants.sumo_agv import sumo_motion
 

@@ -21,6 +21,8 @@ class TickRules:
         charge: charging.
         charge_after_cells: cells driven after which charging is due.
         assign_on_return: an AGV on its way home may get a task.
+        empty_avoid_slots_of: planners under which AGVs on their way home do not pass through empty slots.
+        unaided: planners whose deadlocks are not resolved by the controller.
         dispatch: dispatch rule that goes with the set, "" for the scenario's.
         charge_anywhere, charge_unasked, around_cars, keep_for_returning: see ``controller.rules.Rules``.
         run_on: ticks that the run goes on after the last task, at most; it ends when all AGVs are idle.
@@ -33,6 +35,8 @@ class TickRules:
     charge: int = 20
     charge_after_cells: int = 300
     assign_on_return: bool = False
+    empty_avoid_slots_of: frozenset[str] = frozenset()
+    unaided: frozenset[str] = frozenset()
     dispatch: str = ""
     charge_anywhere: bool = True
     charge_unasked: bool = True
@@ -51,7 +55,7 @@ class TickRules:
             following=True,
         )
 
-    def rules(self) -> Rules:
+    def rules(self, planner: str = "") -> Rules:
         """The same for the ACS. The state of charge falls to ``charge_below`` over ``charge_after_cells``."""
         return Rules(
             lift_slot=self.lift,
@@ -67,6 +71,8 @@ class TickRules:
             charge_anywhere=self.charge_anywhere,
             charge_unasked=self.charge_unasked,
             around_cars=self.around_cars,
+            resolve_deadlocks=planner not in self.unaided,
+            empty_avoid_slots=planner in self.empty_avoid_slots_of,
             keep_for_returning=self.keep_for_returning,
             run_on_steps=self.run_on,
         )
@@ -77,9 +83,10 @@ CHARGE_BELOW = 0.3
 
 #: ``thesis``: what the thesis's program does (2025; see docs/thesis.md). A right-angled turn takes 1 tick under A* and
 #: D* Lite, but 2 under its pipeline; charging is set to 20 ticks, but the tick that sets it is the first of them. AGVs
-#: take tasks in order of their numbers, to the slot or from the car that is nearest as the cars stand; the run is
-#: stopped on the 11th tick after the last task. ``fair``: the same turn for all, each car fetched by name, and the run
-#: ends with the last task.
+#: take tasks in order of their numbers, to the slot or from the car that is nearest as the cars stand; on their way
+#: home they avoid empty slots, but not under A*; nobody resolves deadlocks of A* and D* Lite; the run is stopped on the
+#: 11th tick after the last task. ``fair``: one turn for all, each car fetched by name, deadlocks are resolved under
+#: every planner, and the run ends with the last task.
 RULE_SETS: dict[str, TickRules] = {
     "thesis": TickRules(
         turn=2,
@@ -87,6 +94,8 @@ RULE_SETS: dict[str, TickRules] = {
         charge=19,
         charge_anywhere=False,
         charge_unasked=False,
+        empty_avoid_slots_of=frozenset({"dstar_lite"}),
+        unaided=frozenset({"astar", "dstar_lite"}),
         dispatch="first-come",
         around_cars=True,
         keep_for_returning=True,

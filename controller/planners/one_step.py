@@ -77,28 +77,33 @@ class OneStep:
                 taken += [v for agv, v in current.items() if agv != agent.agv]
             edge = STAY
             if agent.vertex != agent.goal and not (following and agent.ready_step > 0):
-                edge = self.search.next_edge(agent, problem.blocked, {*taken, *passed})
-            path = _path(problem, agent, edge, passed)
+                blocked = self._without_slots(problem) if agent.avoids_slots else problem.blocked
+                edge = self.search.next_edge(agent, blocked, {*taken, *passed})
+            path = _path(problem, agent, edge)
             paths[agent.agv] = path
-            if not following or path.arrive[-1] == 1:  # whoever turns first stays an obstacle where it is
+            if not following or path.arrive[-1] == 1:  # whoever turns first is an obstacle where it stands
                 next_[agent.agv] = path.vertices[-1]
         return PlanResult(Status.SOLVED, paths, counters=Counters(*self.search.counters.tolist()))
 
+    @staticmethod
+    def _without_slots(problem: PlanningProblem) -> NDArray[np.uint8]:
+        blocked = problem.blocked.copy()
+        blocked[list(problem.graph.slots)] = 1
+        return blocked
 
-def _path(problem: PlanningProblem, agent: PlanAgent, edge: int, passed: set[int]) -> Path:
-    """One move, or none; it rests until the window's end unless a fixed path comes through."""
+
+def _path(problem: PlanningProblem, agent: PlanAgent, edge: int) -> Path:
+    """One move, or none, and no claim to its end: others may plan to go there later."""
     graph, motion = problem.graph, problem.motion
     vertices: tuple[int, ...] = (agent.vertex,)
     arrive: tuple[int, ...] = (0,)
     depart: tuple[int, ...] = ()
     if edge != STAY:
         head = int(graph.head[edge])
-        turn = 0 if agent.turned_to == head else motion.turn(graph, agent.in_edge, edge, agent.loaded)
-        leave = agent.ready_step + turn
+        leave = agent.ready_step + motion.turn(graph, agent.in_edge, edge, agent.loaded)
         vertices, depart = (agent.vertex, head), (leave,)
         arrive = (0, leave + int(motion.edge_steps[int(agent.loaded), edge]))
-    until = arrive[-1] if vertices[-1] in passed else max(arrive[-1], problem.window_steps)
-    return Path(agent.agv, vertices, arrive, depart, until)
+    return Path(agent.agv, vertices, arrive, depart, arrive[-1])
 
 
 def ranked_edges(space: Space) -> IntArray:
