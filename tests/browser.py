@@ -39,7 +39,7 @@ class Browser:
     """One tab of a headless Chromium.
 
     Attributes:
-        requests: URLs the page asked for, the page's own first.
+        requests: URLs the page asked for, its own first; what it holds itself (``data:``) is left out.
         complaints: console errors and warnings, uncaught exceptions, refused loads.
     """
 
@@ -134,7 +134,8 @@ class Browser:
 
     def _note(self, method: str, event: dict[str, Any]) -> None:
         if method == "Network.requestWillBeSent":
-            self.requests.append(event["request"]["url"])
+            if not event["request"]["url"].startswith("data:"):
+                self.requests.append(event["request"]["url"])
         elif method == "Runtime.exceptionThrown":
             self.complaints.append(_exception(event["exceptionDetails"]))
         elif method == "Log.entryAdded" and event["entry"]["level"] in ("error", "warning"):

@@ -6,6 +6,7 @@ import base64
 import json
 import re
 import zlib
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -146,7 +147,7 @@ def test_plans_start_where_the_agv_is_and_end_at_its_job(folder: Path) -> None:
     for row in run.plans.to_dict("records"):
         path = [int(vertex) for vertex in row["path"].split()]
         assert 1 <= row["granted"] <= len(path)
-        assert all(step in lanes for step in zip(path, path[1:], strict=False))
+        assert all(step in lanes for step in pairwise(path))
         reach = 8.0 + (np.hypot(*(xy[path[1]] - xy[path[0]])) if len(path) > 1 else 0.0)
         assert np.hypot(*(xy[path[0]] - where[row["time_s"], row["agv"]])) < reach
         ends.add(path[-1])

@@ -79,7 +79,7 @@ class Recording {
     let turn = (angle[j] - angle[i]) % 3600;
     if (turn > 1800) turn -= 3600;
     if (turn < -1800) turn += 3600;
-    const reversed = Math.abs(turn) > 900;
+    const reversed = share > 0 && Math.abs(turn) > 900;
     const from = reversed ? angle[i] + 1800 : angle[i];
     if (reversed) turn -= Math.sign(turn) * 1800;
     return {
@@ -115,7 +115,7 @@ class Recording {
   /** The plan of an AGV: vertices from the last one reached, and how many of them it owns. */
   plan(agv, time) {
     const k = lastAt(this.columns.plan_time, time, this.planOf[agv], this.planOf[agv + 1]);
-    if (k < this.planOf[agv]) return { path: [], granted: 0 };
+    if (k < this.planOf[agv]) return { path: new Int32Array(0), granted: 0 };
     const path = this.columns.plan_path.subarray(this.pathStart[k], this.pathStart[k + 1]);
     return { path, granted: this.columns.plan_granted[k] };
   }

@@ -83,7 +83,7 @@ function trace(path, points) {
   points.forEach(([x, y], k) => (k ? path.lineTo(x, y) : path.moveTo(x, y)));
 }
 
-/** Add a rectangle, turned, to a path; (forward, left) shift it in its own direction. */
+/** Add a rectangle, turned and shifted forward, to a path. Browsers take their time over closePath in a long path. */
 function addBox(path, x, y, angle, length, width, forward = 0) {
   const c = Math.cos(angle), s = Math.sin(angle), a = length / 2, b = width / 2;
   const corner = (u, v) => [x + c * (u + forward) - s * v, y + s * (u + forward) + c * v];
@@ -91,7 +91,7 @@ function addBox(path, x, y, angle, length, width, forward = 0) {
   path.lineTo(...corner(a, -b));
   path.lineTo(...corner(-a, -b));
   path.lineTo(...corner(-a, b));
-  path.closePath();
+  path.lineTo(...corner(a, b));
 }
 
 /** The point so far along a polyline from its end, and the direction there; null before its start. */

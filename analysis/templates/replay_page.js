@@ -3,7 +3,7 @@
 /* The page: time, controls, lists, keyboard and mouse. */
 
 const SPEEDS = [1, 2, 5, 10, 30, 60, 120, 300, 600];
-const LIST_MS = 250;
+const PANEL_MS = 200;
 const element = (id) => document.getElementById(id);
 
 /** A new element with text or children. */
@@ -27,7 +27,6 @@ class Player {
     this.tab = "agvs";
     this.frames = { count: 0, drawMs: 0 };
     this.floorDirty = true;
-    this.listed = 0;
     this.canvases = { floor: element("floor"), scene: element("scene"), track: element("track") };
     this.contexts = Object.fromEntries(Object.entries(this.canvases).map(([name, c]) => [name, c.getContext("2d")]));
     this.timeBar = new TimeBar(this);
@@ -160,20 +159,17 @@ class Player {
       if (this.time >= this.head.end) this.toggle(false);
     }
     const chasing = this.chase();
-    this.draw(now);
+    this.draw();
     if (this.playing || chasing) this.redraw();
   }
 
-  draw(now = performance.now()) {
+  draw() {
     const begun = performance.now();
     if (this.floorDirty) this.floor.draw(this.contexts.floor, this.view, this.colors);
     this.floorDirty = false;
-    const state = this.scene.draw(this.contexts.scene, this.view, this.colors, this.time, this.followed);
+    this.scene.draw(this.contexts.scene, this.view, this.colors, this.time, this.followed);
     this.timeBar.draw(this.contexts.track, this.canvases.track);
-    if (!this.playing || now - this.listed > LIST_MS) {
-      this.listed = now;
-      this.panel.refresh(state);
-    }
+    this.panel.refreshSoon();
     element("clock").textContent = clock(this.time);
     this.frames.count++;
     this.frames.drawMs += performance.now() - begun;
@@ -345,7 +341,15 @@ class Panel {
     return this.player.head.cars[car];
   }
 
-  refresh(state = this.player.scene.state(this.player.time)) {
+  /** The side may lag a little behind the floor: it costs more than a frame. */
+  refreshSoon() {
+    this.timer ??= setTimeout(() => this.refresh(), PANEL_MS);
+  }
+
+  refresh() {
+    clearTimeout(this.timer);
+    this.timer = undefined;
+    const state = this.player.scene.state(this.player.time);
     this.counts(state);
     this.card(state);
     element("search").hidden = this.player.tab !== "cars";
