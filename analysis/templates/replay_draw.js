@@ -231,8 +231,8 @@ class Floor {
   }
 
   drawLanes(ctx, colors) {
-    ctx.lineCap = "round";
     this.stroke(ctx, this.paths.spur, colors.spur, 1.5);
+    ctx.lineCap = "round";
     this.stroke(ctx, this.paths.one, colors.one, 2.3);
     this.stroke(ctx, this.paths.two, colors.two, 2.9);
     ctx.lineCap = "butt";
@@ -460,10 +460,11 @@ class Scene {
     ctx.globalAlpha = 1;
   }
 
-  /** The AGV's middle lies beyond a vertex, seen along the way to the next one. */
+  /** The AGV's middle lies beyond a vertex, more towards the next one than to a side. */
   passed({ x, y }, vertex, next) {
     const [ax, ay] = this.floor.standing(vertex), [bx, by] = this.floor.standing(next);
-    return (x - ax) * (bx - ax) + (y - ay) * (by - ay) > 0;
+    const along = (x - ax) * (bx - ax) + (y - ay) * (by - ay);
+    return along > Math.abs((x - ax) * (by - ay) - (y - ay) * (bx - ax));
   }
 
   strokeLine(ctx, points) {
