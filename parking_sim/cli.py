@@ -42,6 +42,13 @@ for _study in (studies.sweep, studies.compare, studies.size, studies.tune, studi
     app.command()(_study)
 
 
+class TraceMethod(StrEnum):
+    """What traces guide paths."""
+
+    RRT_GRID = "rrt-grid"
+    VISIBILITY = "visibility"
+
+
 class PlantName(StrEnum):
     """What moves the AGVs."""
 
@@ -174,6 +181,34 @@ def build_net(
             raise InputError(f"--out: {folder}: can't be written: {error.strerror}") from None
         for file in written:
             print(file)
+
+
+@app.command()
+def trace_lanes(
+    plan: Annotated[Path, typer.Argument(help="A floor plan (.yaml): walls, pillars, boxes for slots and bays.")],
+    out: Annotated[Path | None, typer.Option(help="Layout to write; default: PLAN_layout.yaml beside it.")] = None,
+    method: Annotated[TraceMethod, typer.Option(help="What traces the guide paths.")] = TraceMethod.RRT_GRID,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of RRT-GRID.")] = 1,
+    draw: Annotated[Path | None, typer.Option(help="Also draw plan, paths and lanes: a .svg or .png file.")] = None,
+) -> None:
+    """Trace guide paths through a floor plan, and write them as lanes of a layout."""
+    from sumo_nets.freespace.drawing import describe, draw_tracing, tracing_yaml
+    from sumo_nets.freespace.floorplan import load_plan
+    from sumo_nets.freespace.trace import trace_lanes as trace
+
+    if draw is not None and draw.suffix not in (".svg", ".png"):
+        raise InputError(f"--draw: {draw}: give a file name that ends with .svg or .png")
+    floor_plan, walls = load_plan(plan)
+    target = out or plan.with_name(f"{plan.stem}_layout.yaml")
+    tracing = trace(floor_plan, walls, method.value, seed, str(plan))
+    try:
+        target.write_text(tracing_yaml(tracing, plan.name), encoding="utf-8")
+        if draw is not None:
+            draw_tracing(tracing, floor_plan, walls, draw)
+    except OSError as error:
+        raise InputError(f"{error.filename}: can't be written: {error.strerror}") from None
+    print(describe(tracing))
+    print(target)
 
 
 @app.command()
