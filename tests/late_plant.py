@@ -70,6 +70,7 @@ class LatePlant:
         self.front = [0] * len(starts)
         self.rear = [0] * len(starts)
         self.acting = [0] * len(starts)
+        self.visits: dict[int, list[int]] = {}  # who was sent to each vertex, in this order
 
     def states(self) -> list[AgvState]:
         rows = zip(self.way, self.front, self.rear, self.acting, strict=True)
@@ -86,6 +87,7 @@ class LatePlant:
         for v in command.vertices:
             assert (way[-1], v) in self.graph.edge_index
             way.append(v)
+            self.visits.setdefault(v, []).append(command.agv)
 
     def step(self, late: Iterable[int] = ()) -> None:
         """Everybody under way gets on by half a move, but for those that are late."""

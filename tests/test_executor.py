@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
 
@@ -72,6 +73,13 @@ def test_a_plan_is_refused_when_agvs_meet_in_it_and_is_carried_out_otherwise_how
     else:
         drive.run(late)
         assert drive.ends == [path.vertices[-1] for path in plan.paths.values()]
+        assert drive.plant.visits == planned_visits(plan.paths)
+
+
+def planned_visits(paths: Mapping[int, Path]) -> dict[int, list[int]]:
+    """Who comes to each vertex, in order of the planned arrivals."""
+    rows = [(t, v, agv) for agv, path in paths.items() for v, t in zip(path.vertices, path.arrive, strict=True) if t]
+    return {v: [agv for _, w, agv in sorted(rows) if w == v] for _, v, _ in rows}
 
 
 @settings(max_examples=60, deadline=None)
@@ -111,12 +119,12 @@ def start(problem: PlanningProblem) -> Drive:
 
 
 def test_the_order_at_a_place_outlasts_a_delay():
-    """The first one is late by 30 steps; the second one, planned behind it, still waits for it."""
+    """The first one is busy for 30 steps; the second one, planned behind it, still waits for it."""
     drive = Drive.of(CROSS, bodies(CROSS), [CROSS.index["n"], CROSS.index["w"]])
     first, second = way(CROSS, 0, "nxs"), way(CROSS, 1, "wxe", 4)
     assert drive.executor.accept({0: first, 1: second}) is None
     for _ in range(30):
-        drive.once(late=[0])
+        drive.once(busy=[0])
     assert drive.ends[1] == CROSS.index["w"]
     drive.run([])
     assert drive.ends == [CROSS.index["s"], CROSS.index["e"]]

@@ -96,6 +96,9 @@ class Books(RuleBasedStateMachine):
             assert command.bay not in closed
             self.called.append(self.garage.bays[command.bay].inbound)
             assert self.called[-1].car == command.car
+        before_lifting = (*self.called, *self.garage.open, *self.assigned)
+        taken = {job.origin for job in before_lifting if job.is_park}
+        assert not self.garage.queue or set(GRAPH.bays) <= taken | closed, "a customer waits while a bay is free"
 
     @precondition(lambda self: self.called)
     @rule(data=st.data())
