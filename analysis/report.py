@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.deadlocks import deadlocks, draw, why
 from analysis.figures import figures, words
 from analysis.metrics import METRICS, Metrics, run_metrics
 from analysis.tables import Run, load_run
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 _STORIES = 200
+_PICTURES = 12
 _SERVICE_ROWS = (
     ("retrieval_wait", "Retrieval: request to car at the bay"),
     ("retrieval_total", "Retrieval: request to customer gone"),
@@ -69,6 +71,7 @@ def write_report(folder: Path) -> Path:
         drawings=figures(run),
         stories=deadlock_stories(run)[:_STORIES],
         story_count=int(metrics["deadlocks_found"]),
+        pictures=[(clock(d.found_s), why(d), draw(d, run.vertices, run.edges)) for d in deadlocks(run)[:_PICTURES]],
         incidents=incidents(run)[:_STORIES],
         thesis=[(key, number(metrics[key]), *METRICS[key]) for key in _THESIS],
         metrics=[(key, number(metrics[key]), *METRICS[key]) for key in METRICS],

@@ -250,6 +250,18 @@ def draw_net(
 
 
 @app.command()
+def explain(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    number: Annotated[int | None, typer.Argument(help="Number of a deadlock, from 0; default: all.")] = None,
+    svg: Annotated[Path | None, typer.Option(help="Draw this deadlock into a file.")] = None,
+) -> None:
+    """Explain a run's deadlocks: who held what and waited for whom, why, what resolved it, seconds lost."""
+    from analysis.deadlocks import explain as explanation
+
+    print(explanation(folder, number, svg))
+
+
+@app.command()
 def schema() -> None:
     """Print the JSON schema of scenario files."""
     from parking_sim.config import Scenario

@@ -158,9 +158,10 @@ KINDS: Mapping[str, str] = {
     "plan_partial": "a planning call left agents without a path: failed (AGV numbers)",
     "plan_rejected": "a plan was refused by the executor's check: reason",
     "deadlock_found": "AGVs wait for each other or come no nearer to their goals: deadlock (number), members (AGV "
-    "numbers), cause (ring, idle or stuck), waits (AGV -> AGV it waits for), wants (AGV -> name of the next vertex)",
+    "numbers), cause (ring, idle or stuck), waits (AGV -> AGV it waits for), wants (AGV -> name of the next vertex), "
+    "holds (AGV -> names of its vertices), goals (AGV -> name)",
     "deadlock_resolved": "a deadlock is over: deadlock, members, cause, stage (what resolved it), "
-    "cost_s (seconds since it was found)",
+    "cost_s (seconds since the wait began)",
     "stage_failed": "a stage of the resolution made no progress: deadlock, stage, reason",
     "charge_start": "an AGV starts to charge: soc",
     "charge_end": "an AGV ends charging: soc",

@@ -185,7 +185,16 @@ class Ladder:
         wants = {n: self._executor.graph.names[waits.vertices[n]] for n in members if n in waits.vertices}
         waits_for = {n: waits.edges[n] for n in members if n in waits.edges}
         vertex = waits.vertices.get(members[0], -1)
-        detail = {"deadlock": deadlock.number, "members": members, "cause": cause, "waits": waits_for, "wants": wants}
+        names, ex = self._executor.graph.names, self._executor
+        detail: dict[str, object] = {
+            "deadlock": deadlock.number,
+            "members": members,
+            "cause": cause,
+            "waits": waits_for,
+            "wants": wants,
+            "holds": {n: [names[v] for v in ex.agvs[n].trail] for n in members},
+            "goals": {n: names[self._agvs[n].goal] for n in members},
+        }
         self._log("deadlock_found", members[0], "", vertex, detail)
         return deadlock
 

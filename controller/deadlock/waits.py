@@ -136,7 +136,7 @@ class Progress:
             cost = int(self._costs.to(agv.goal)[a.last])
             acting = a.acting_until >= 0 or agv.action is not None or agv.goal == a.last
             planned = self._complete and bool(a.pending) and a.pending[-1] == agv.goal
-            faulty = agv.immobile or agv.number in cut_off
+            faulty = agv.immobile or agv.off_duty or agv.number in cut_off
             if acting or planned or faulty or agv.goal != best.goal or cost < best.cost:
                 best.goal, best.cost, best.since = agv.goal, cost, step
 
