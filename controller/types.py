@@ -205,6 +205,7 @@ class PlanAgent:
         loaded: it carries a car.
         dwell_steps: steps it will stay at the goal (lifting, lowering).
         priority: higher goes first.
+        turned_to: vertex it has turned towards already, -1 when it has not.
         avoids_slots: it may not pass through slots, but for its start and goal; heeded by the thesis's planners only.
     """
 
@@ -216,6 +217,7 @@ class PlanAgent:
     loaded: bool
     dwell_steps: int = 0
     priority: int = 0
+    turned_to: int = -1
     avoids_slots: bool = False
 
 

@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 
 from controller.routing.binary_tree import compile_tree, find_route, find_routes
 from controller.routing.kinematics import ForkAgv, check_turns, drive, icr_distance_m, rates
+from controller.routing.shortest import shortest_route
 from controller.types import FOLD_DEG
+from sumo_nets.floors import ForkFloor, one_way_lattice
 from sumo_nets.graph import make_graph
 
 DEG = math.pi / 180
@@ -75,8 +77,10 @@ def test_a_route_is_found_whenever_there_is_one_and_is_never_too_short(graph, da
     n = len(graph.names)
     start, goal = data.draw(st.integers(0, n - 1)), data.draw(st.integers(0, n - 1))
     route, best = find_route(compile_tree(graph), start, goal), shortest(graph, start, goal)
-    assert (route is None) == (best is None)
-    if route is not None:
+    exact = shortest_route(graph, start, goal)
+    assert (route is None) == (best is None) == (exact is None)
+    if route is not None and exact is not None:
+        assert exact.length_m == pytest.approx(best)
         assert route.length_m >= best - 1e-9
         assert (route.vertices[0], route.vertices[-1]) == (start, goal)
         edges = [graph.edge_index[pair] for pair in pairwise(route.vertices)]
@@ -84,18 +88,9 @@ def test_a_route_is_found_whenever_there_is_one_and_is_never_too_short(graph, da
         assert all(f in ways_on(graph, e) for e, f in pairwise(edges))
 
 
-def lattice(columns, rows):
-    """One-way streets, each against the one beside it."""
-    spots = [(f"{x},{y}", 4.0 * x, 4.0 * y) for y in range(rows) for x in range(columns)]
-    pairs = [((x, y), (x + 1, y))[:: 1 - 2 * (y % 2)] for y in range(rows) for x in range(columns - 1)]
-    pairs += [((x, y), (x, y + 1))[:: 2 * (x % 2) - 1] for x in range(columns) for y in range(rows - 1)]
-    rows_ = [(f"{a}>{b}", f"{a[0]},{a[1]}", f"{b[0]},{b[1]}", 4.0) for a, b in pairs]
-    return make_graph("lattice", spots, rows_)
-
-
 @pytest.mark.parametrize("left_first", [True, False])
 def test_both_searches_are_the_papers_where_no_vertex_has_more_than_two_ways(left_first):
-    graph = lattice(6, 4)
+    graph = one_way_lattice(6, 4)
     tree = compile_tree(graph)
     for start in range(24):
         for goal in range(24):
@@ -121,7 +116,7 @@ def test_loading_nodes_are_entered_only_to_stay_and_one_way_nodes_are_single():
 
 
 def test_a_blocked_vertex_is_no_way_but_may_be_the_goal():
-    graph = lattice(4, 4)
+    graph = one_way_lattice(4, 4)
     tree = compile_tree(graph)
     free = find_route(tree, 0, 6)
     assert free is not None
@@ -176,3 +171,18 @@ def test_turns_of_a_corner():
     assert turn.drivable
     assert not any(t.drivable for t in check_turns(graph, ForkAgv(), 1.5))
     assert not any(t.drivable for t in check_turns(graph, ForkAgv(l=6.0, steer_deg=45.0, front_m=6.5), 40.0))
+
+
+def test_the_fork_floor_is_the_papers_in_size_and_numbers_and_has_one_choice():
+    graph = ForkFloor().graph()
+    assert graph.xy.min() >= 0
+    assert (graph.xy.max(axis=0) <= (70, 36)).all()
+    assert len(graph.names) == 216
+    assert len(graph.slots) == 147
+    assert np.diff(graph.first_out).max() == 2  # a binary tree without further nodes
+    tree, rng = compile_tree(graph), np.random.default_rng(0)
+    for start, goal in rng.integers(0, 216, (100, 2)).tolist():
+        route, best = find_route(tree, start, goal), shortest_route(graph, start, goal)
+        assert route is not None
+        assert best is not None
+        assert route.length_m == pytest.approx(best.length_m)

@@ -151,8 +151,8 @@ class _Scratch(NamedTuple):
         step: change of the place number in each direction, shape (5,).
         here: by step and place which chromosome was there last (in order of counting), and with how many robots,
             shape (T, places, 2).
-        moves: the same for moves between a place and the next one to the right or above, shape (T, places, 4, 2):
-            right, back from there, up, back from there.
+        moves: the same for moves between a place and the next one to the right or above, four a place: right, back
+            from there, up, back from there, shape (T, 4 places, 2).
         clock: chromosomes counted so far, shape (1,).
     """
 
@@ -171,7 +171,7 @@ def _make_scratch(instance: Instance) -> _Scratch:
         start=2 * instance.starts[:, 1] * width + 2 * instance.starts[:, 0],
         step=STEP @ np.array([1, width]),
         here=np.zeros((steps, width * height, 2), dtype=np.int32),
-        moves=np.zeros((steps, width * height, 4, 2), dtype=np.int32),
+        moves=np.zeros((steps, 4 * width * height, 2), dtype=np.int32),
         clock=np.zeros(1, dtype=np.int32),
     )
 
@@ -192,33 +192,33 @@ def _cost(order: Genes, stops: Genes, lengths: Ints, scratch: _Scratch) -> Ints:
 @njit(cache=True)
 def _drive(at: int, order: Genes, stops: Genes, length: int, scratch: _Scratch) -> int:
     """Let a robot drive among those that have driven before; how many of them it meets, step by step."""
-    now = scratch.clock[0]
+    here, moves, now = scratch.here, scratch.moves, scratch.clock[0]
     met, t = 0, 0
     for half in range(2 * length):
         k = (half + 1) // 2  # stops are made at the start and in the middle of aisles, which even halves lead into
         waits = 2 * stops[k] if half == 0 or half % 2 else 0
         for _ in range(waits + 1):
-            met += _note(scratch.here[t, at], now)
+            met += _note(here, (t, at), now)
             t += 1
-        then = at + scratch.step[order[half // 2]]
-        side = 0 if abs(then - at) == 1 else 2
-        low, back = (at, 0) if then > at else (then, 1)
-        _note(scratch.moves[t - 1, low, side + back], now)
-        opposite = scratch.moves[t - 1, low, side + 1 - back]
-        if opposite[0] == now:
-            met += opposite[1]
-        at = then
+        step = scratch.step[order[half // 2]]
+        low, back = (at, 0) if step > 0 else (at + step, 1)
+        side = 0 if abs(step) == 1 else 2
+        _note(moves, (t - 1, 4 * low + side + back), now)
+        opposite = 4 * low + side + 1 - back
+        if moves[t - 1, opposite, 0] == now:
+            met += moves[t - 1, opposite, 1]
+        at += step
     return met
 
 
 @njit(cache=True)
-def _note(row: NDArray[np.int32], now: int) -> int:
-    """Count one more robot of this chromosome; how many there were before."""
-    if row[0] != now:
-        row[0] = now
-        row[1] = 0
-    row[1] += 1
-    return int(row[1] - 1)
+def _note(table: NDArray[np.int32], spot: tuple[int, int], now: int) -> int:
+    """Count one more robot of this chromosome at (step, place); how many there were before."""
+    t, place = spot
+    before = table[t, place, 1] if table[t, place, 0] == now else np.int32(0)
+    table[t, place, 0] = now
+    table[t, place, 1] = before + 1
+    return int(before)
 
 
 @njit(cache=True)

@@ -135,7 +135,7 @@ def _update_vertex(u: int, s_start: int, rate: float, lanes: Lanes, memory: Memo
 @njit(cache=True)
 def _through(e: int, g: int, steps: IntArray, closed: int) -> int:
     """``c + g`` over an edge whose head has that g and is closed or not."""
-    return FOREVER if closed or g >= FOREVER else steps[e] + g
+    return FOREVER if closed or g >= FOREVER else int(steps[e] + g)
 
 
 @njit(cache=True)

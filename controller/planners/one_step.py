@@ -100,7 +100,8 @@ def _path(problem: PlanningProblem, agent: PlanAgent, edge: int) -> Path:
     depart: tuple[int, ...] = ()
     if edge != STAY:
         head = int(graph.head[edge])
-        leave = agent.ready_step + motion.turn(graph, agent.in_edge, edge, agent.loaded)
+        turn = 0 if agent.turned_to == head else motion.turn(graph, agent.in_edge, edge, agent.loaded)
+        leave = agent.ready_step + turn
         vertices, depart = (agent.vertex, head), (leave,)
         arrive = (0, leave + int(motion.edge_steps[int(agent.loaded), edge]))
     return Path(agent.agv, vertices, arrive, depart, arrive[-1])

@@ -18,9 +18,33 @@ def _reproduce() -> None:
     """Print a paper's figures beside ours, and whether its claims hold."""
 
 
+@app.command("thesis")
+def thesis(full: Full = False, out: Out = None) -> None:
+    """A*, D* Lite and the pipeline on three maps, under the thesis's rules, equal rules and in SUMO (paper 002)."""
+    from parking_sim.reproduce.thesis import reproduce
+
+    reproduce(out or Path("runs/reproduce/thesis"), full)
+
+
 @app.command("rrt-grid")
 def rrt_grid(full: Full = False, out: Out = None) -> None:
     """RRT-GRID against RRT and RRT* on thirty layouts in five categories (paper 001)."""
     from parking_sim.reproduce.rrt_grid import reproduce
 
     reproduce(out or Path("runs/reproduce/rrt-grid"), full)
+
+
+@app.command("binary-tree")
+def binary_tree(full: Full = False, out: Out = None) -> None:
+    """Binary-tree routing against exact shortest routes on five floors (paper 003)."""
+    from parking_sim.reproduce.binary_tree import reproduce
+
+    reproduce(out or Path("runs/reproduce/binary-tree"), full)
+
+
+@app.command("two-stage-ga")
+def two_stage_ga(full: Full = False, out: Out = None) -> None:
+    """One-stage and two-stage genetic algorithms and CBS on a lattice of 5 x 8 intersections (paper 004)."""
+    from parking_sim.reproduce.two_stage_ga import reproduce
+
+    reproduce(out or Path("runs/reproduce/two-stage-ga"), full)
