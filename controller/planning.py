@@ -186,8 +186,9 @@ class Planning:
         ready = self._executor.ready_step(agv.number, step)
         dwell = self._rules.lift_bay
         goal = a.last if agv.goal in self._executor.closed else agv.goal
+        rank = priority(agv, stuck)
         avoids = self._rules.empty_avoid_slots and agv.mode is AgvMode.RETURNING_HOME_EMPTY
-        return PlanAgent(agv.number, a.last, a.in_edge, ready, goal, a.loaded, dwell, priority(agv, stuck), avoids)
+        return PlanAgent(agv.number, a.last, a.in_edge, ready, goal, a.loaded, dwell, rank, a.turned_to, avoids)
 
     def _take(self, step: int, problem: PlanningProblem, result: PlanResult) -> None:
         paths = {path.agv: path for path in problem.fixed if path.agv < TRAIL} | dict(result.paths)
