@@ -146,7 +146,7 @@ def compare(
         if table["seed"].duplicated().any():
             raise InputError(f"{name}: has seed {table['seed'][table['seed'].duplicated()].iloc[0]} more than once")
     first, second = (table.set_index("seed") for table in tables)
-    seeds = [seed for seed in first.index if seed in second.index]
+    seeds = sorted(seed for seed in first.index if seed in second.index)
     if len(seeds) < 2:
         raise InputError(f"{names[0]} and {names[1]} share {len(seeds)} seeds: run both with the same seeds, 2 or more")
     found = (_difference(key, first.loc[seeds, key].to_numpy(), second.loc[seeds, key].to_numpy()) for key in keys)

@@ -132,7 +132,8 @@ def run_columns() -> dict[str, tuple[str, str]]:
 
     Returns:
         Column -> (unit, meaning): the run's own, then the scenario's keys, then the metrics. Lists in a scenario are
-        JSON text. A table has the columns of the scenario that its runs have.
+        JSON text. A table has the columns of the scenario that its runs have, and one more for each key of a mapping
+        with free keys, such as ``planner_options.NAME``.
     """
     from parking_sim.config import Scenario
 
@@ -211,16 +212,16 @@ def _described(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, str]]
     """The keys of a model of options and of the models in it, with their descriptions."""
     for name, field in model.model_fields.items():
         nested = _models(field.annotation)
-        if not nested:
+        if not nested or type(None) in typing.get_args(field.annotation):
             yield prefix + name, field.description or "which of the kinds it is"
         for inner in nested:
             yield from _described(inner, f"{prefix}{name}.")
 
 
 def _models(annotation: Any) -> list[type[BaseModel]]:
-    """The models of options that a field may hold; none for lists of them."""
+    """The models of options that a field may hold; none for lists and mappings of them."""
     if isinstance(annotation, type):
         return [annotation] if issubclass(annotation, BaseModel) else []
-    if typing.get_origin(annotation) in (tuple, list):
+    if typing.get_origin(annotation) in (tuple, list, dict):
         return []
     return [model for argument in typing.get_args(annotation) for model in _models(argument)]

@@ -1,10 +1,11 @@
 """The smallest fleet that meets a target, by as few runs as it takes.
 
 Fleet sizes are tried by doubling until one meets the target, then by halving the gap below it. Each size is run with
-one seed after another, the same for all, until it is clear on which side of the target the mean over the seeds lies:
-after 3, 5, 8, 12 and 18 seeds at 99.8 % confidence one-sided, after the last (30) at 96 %. Added up (Bonferroni), a
-size is said to meet the target wrongly with a probability of at most 5 %, however often one has looked. A size that
-remains unclear after the last seed does not meet it.
+one seed after another, the same for all, until it is clear on which side of the target the mean over the seeds lies.
+One looks after 3, 5, 8, 12, 18 and 30 seeds. To meet the target takes one-sided confidence of 99.8 % at a look and of
+96 % at the last: added up (Bonferroni), a size is said to meet it wrongly with a probability of at most 5 %, however
+often one has looked. To miss it 95 % are enough, for that errs to the safe side. A size that remains unclear after the
+last seed does not meet the target.
 
 That is right if more AGVs never make the wait longer up to the answer. Where they get in each other's way the curve
 turns up again, so that a target that the greatest fleet misses is also looked for around the best size seen.
@@ -26,9 +27,10 @@ from parking_sim.errors import InputError
 from parking_sim.sweep import RunFailedError, Tell, open_folder, run_folder, run_missing, write_plan
 from parking_sim.sweep_plan import RunSpec, make_runs
 
-#: Seeds after which a size is looked at, and the one-sided confidence asked for at a look and at the last one.
+#: Seeds after which a size is looked at.
 LOOKS = (3, 5, 8, 12, 18, 30)
-LOOK_CONFIDENCE, LAST_CONFIDENCE = 0.998, 0.96
+#: One-sided confidence that a size meets the target, at a look and at the last one; and that it misses it.
+LOOK_CONFIDENCE, LAST_CONFIDENCE, MISS_CONFIDENCE = 0.998, 0.96, 0.95
 
 _WHAT = {
     "retrieval total": "retrieval_total",
@@ -241,11 +243,10 @@ def _judge(agvs: int, limit_s: float, measure: Measure, looks: Sequence[int]) ->
     values: list[float] = []
     for look in looks:
         values.extend(measure(agvs, range(len(values) + 1, look + 1)))
-        last = look == looks[-1]
-        spread = interval(values, 2 * (LAST_CONFIDENCE if last else LOOK_CONFIDENCE) - 1)
-        if spread.high < limit_s:
+        asked = LAST_CONFIDENCE if look == looks[-1] else LOOK_CONFIDENCE
+        if interval(values, 2 * asked - 1).high < limit_s:
             return Tried(agvs, True, tuple(values))
-        if spread.low > limit_s:
+        if interval(values, 2 * MISS_CONFIDENCE - 1).low > limit_s:
             break
     return Tried(agvs, False, tuple(values))
 

@@ -1,0 +1,182 @@
+"""Sizing: the smallest fleet, in few runs; an impossible target is said to be so; tuning finds the better setting."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.measures import interval
+from parking_sim.cli import main
+from parking_sim.errors import InputError
+from parking_sim.executors import open_executor
+from parking_sim.sizing import LAST_CONFIDENCE, Measure, Target, answer, find_fleet, parse_target
+from parking_sim.tuning import parse_ranges, tune_scenario
+
+GARAGES: dict[str, tuple[Callable[[int], float], int]] = {
+    "more is better": (lambda n: 900 / n + 120, 12),
+    "crowded beyond five": (lambda n: 700 / n + 90 + 15 * max(0, n - 5), 10),
+    "bays are the limit": (lambda n: max(240.0, 1000 / n), 32),
+}
+SPREAD_S = 40.0
+
+
+def plant(curve: Callable[[int], float], asked: list[tuple[int, int]] | None = None) -> Measure:
+    """A garage whose measure is a curve with what makes a day hard (the same for all fleets) and chance."""
+
+    def measure(agvs: int, seeds: Sequence[int]) -> list[float]:
+        if asked is not None:
+            asked.extend((agvs, seed) for seed in seeds)
+        days = [np.random.default_rng(seed).normal(0, SPREAD_S) for seed in seeds]
+        return [
+            curve(agvs) + d + np.random.default_rng([s, agvs]).normal(0, 10) for d, s in zip(days, seeds, strict=True)
+        ]
+
+    return measure
+
+
+def brute_force(measure: Measure, limit_s: float, most: int) -> int | None:
+    """All sizes with all seeds."""
+    for agvs in range(1, most + 1):
+        if interval(measure(agvs, range(1, 31)), 2 * LAST_CONFIDENCE - 1).high < limit_s:
+            return agvs
+    return None
+
+
+@pytest.mark.parametrize("name", GARAGES)
+@pytest.mark.parametrize("limit_s", [205, 260, 330, 500, 2000])
+def test_agrees_with_brute_force_in_a_third_of_its_runs(name: str, limit_s: float) -> None:
+    curve, most = GARAGES[name]
+    asked: list[tuple[int, int]] = []
+    found = find_fleet(Target("", "", limit_s), most, plant(curve, asked))
+    assert found.agvs == brute_force(plant(curve), limit_s, most)
+    assert found.runs == len(asked) == len(set(asked)) <= 30 * most / 3
+    if found.agvs:
+        meets = {tried.agvs: tried.meets for tried in found.tried}
+        assert meets[found.agvs]
+        assert found.agvs == 1 or not meets[found.agvs - 1]
+
+
+def test_an_impossible_target_is_said_to_be_so() -> None:
+    found = find_fleet(Target("retrieval p95 < 100 s", "", 100), 8, plant(lambda n: 300 + 10 * abs(n - 5)))
+    assert found.agvs is None
+    said = answer(found, "map1")
+    assert said.startswith("No fleet of 1 to 8 AGVs meets 'retrieval p95 < 100 s' in map1: the best tried, 5, has 3")
+
+
+def test_a_fleet_between_two_doublings_is_not_missed() -> None:
+    """Only 5 to 7 AGVs meet it: 4 are too few and 8 too many."""
+    found = find_fleet(Target("", "", 200), 8, plant(lambda n: 100 if 5 <= n <= 7 else 400 + 5 * abs(n - 6)))
+    assert found.agvs == 5
+
+
+def test_wrong_answers_are_rare() -> None:
+    """A fleet that just misses the target is called good in at most 5 % of 200 sizings."""
+
+    def measure_of(trial: int) -> Measure:
+        return lambda agvs, seeds: [np.random.default_rng([trial, s]).normal(300, SPREAD_S) for s in seeds]
+
+    wrong = sum(find_fleet(Target("", "", 300), 1, measure_of(trial)).agvs is not None for trial in range(200))
+    assert wrong <= 10 + 2 * math.sqrt(10)
+
+
+def test_the_answer_is_one_sentence() -> None:
+    found = find_fleet(parse_target("retrieval p95 < 5 min"), 8, plant(lambda n: 900 / n))
+    assert found.agvs == 4
+    said = answer(found, "map1")
+    assert said.startswith("4 AGVs meet 'retrieval p95 < 5 min' in map1 with 95 % confidence: ")
+    assert "; 3 do not, with " in said
+    assert said.count("\n") == 0
+
+
+def test_runs_with_nothing_to_measure_meet_nothing() -> None:
+    found = find_fleet(Target("", "", 300), 2, lambda agvs, seeds: [math.nan for _ in seeds], (3, 5))
+    assert found.agvs is None
+    assert "nothing to measure" in answer(found, "map1")
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "limit_s"),
+    [
+        ("retrieval p95 < 5 min", "retrieval_wait_p95_s", 300),
+        ("retrieval total mean < 200 s", "retrieval_total_mean_s", 200),
+        ("queue max <  1.5min", "park_queue_max_s", 90),
+        ("parking p50 < 400s", "park_total_p50_s", 400),
+    ],
+)
+def test_targets(text: str, key: str, limit_s: float) -> None:
+    target = parse_target(text)
+    assert (target.key, target.limit_s) == (key, limit_s)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "p95 < 5 min", "retrieval p95 > 5 min", "retrieval p97 < 5 min", "queue max < 0 s"]
+)
+def test_targets_that_are_none(text: str) -> None:
+    with pytest.raises(InputError, match=r"--target: .*give such as 'retrieval p95 < 5 min'"):
+        parse_target(text)
+
+
+SCENARIO = """
+garage: map1
+agvs: 1
+plant: discrete
+planner: whca
+duration_s: 900
+workload: {kind: poisson, arrivals_per_h: 60, dwell_median_min: 10, initial_occupancy: 0.3, duration_min: 10}
+record: {sample_s: 60}
+"""
+
+
+def test_the_command(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.yaml").write_text(SCENARIO)
+    with pytest.raises(SystemExit) as caught:
+        main(["size", "s.yaml", "--target", "retrieval p95 < 1 s", "--max-agvs", "2", "--max-seeds", "3", "-q"])
+    assert caught.value.code == 1
+    said = capfd.readouterr().out
+    assert "No fleet of 1 to 2 AGVs meets 'retrieval p95 < 1 s'" in said
+    folder = tmp_path / "runs" / "size-s-own"
+    assert json.loads((folder / "sizing.json").read_text())["agvs"] is None
+    assert (folder / "curve.svg").is_file()
+    assert "No fleet of 1 to 2 AGVs" in (folder / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--target x", "--target: 'x'"),
+        ("--target 'retrieval p95 < 5 min' --profile mal", "profile: 'mal': give one of"),
+        ("--target 'retrieval p95 < 5 min' --max-agvs 99", "--max-agvs: 99: map1 has homes for 1 to 8"),
+    ],
+)
+def test_mistakes(words: str, message: str, capfd: pytest.CaptureFixture[str]) -> None:
+    import shlex
+
+    with pytest.raises(SystemExit) as caught:
+        main(["size", "map1", *shlex.split(words)])
+    assert caught.value.code == 2
+    assert message in capfd.readouterr().err
+
+
+def test_tuning_tries_settings_and_sorts_them(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    (tmp_path / "s.yaml").write_text(SCENARIO)
+    ranges = parse_ranges(["control.period_s=2.0..60", "agvs=1..4"])
+    with open_executor(1) as executor:
+        found = tune_scenario(
+            str(tmp_path / "s.yaml"), ranges, "retrieval_wait_mean_s", 4, (1, 2), tmp_path / "out", executor
+        )
+    assert len(found) == 4
+    assert [s.mean.mean for s in found] == sorted(s.mean.mean for s in found)
+    assert all(2 <= s.values["control.period_s"] <= 60 and s.values["agvs"] in (1, 2, 3, 4) for s in found)
+
+
+@pytest.mark.parametrize("text", ["agvs", "agvs=3", "agvs=4..2", "agvs=a..b"])
+def test_ranges_that_are_none(text: str) -> None:
+    with pytest.raises(InputError, match="--vary"):
+        parse_ranges([text])
