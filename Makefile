@@ -24,7 +24,15 @@ lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-test: lint $(VENV)/.nets
+# the pages are tested in a real browser; where it can't be installed the tests say what to do
+$(VENV)/.browser: $(STAMP)
+	@command -v chromium >/dev/null || command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null || \
+	  { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && apt-get update -qq && \
+	    apt-get install -y -qq --no-install-recommends chromium >/dev/null; } || \
+	  echo "no Chromium: install it, or set PARKING_SIM_NO_BROWSER=1 to leave out the tests of pages"
+	touch $@
+
+test: lint $(VENV)/.nets $(VENV)/.browser
 	$(BIN)/python -m pytest -n 2
 
 ## rebuild the committed nets from their layouts
