@@ -1,0 +1,94 @@
+"""Sizing against brute force: the same answer as a grid of all fleets with 30 seeds, and how many runs it takes.
+
+    python benchmarks/sizing.py [--garage map1] [--most 8] [--targets "retrieval p95 < 5 min,..."] [--hours 0.5]
+        [--plant sumo] [--folder DIR] [--workers 2]
+
+The grid's runs are kept in the folder, and a second start goes on. The sizing's runs are counted as if there were none.
+A fleet of the grid meets a target if the upper end of its one-sided interval is below it, at the confidence that sizing
+asks for after its last seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from analysis.measures import interval
+from demand.profile_traffic import ProfileTraffic
+from parking_sim.config import Scenario, check_scenario
+from parking_sim.executors import open_executor
+from parking_sim.sizing import LAST_CONFIDENCE, Target, answer, find_fleet, measure_specs, parse_target
+from parking_sim.sweep import open_folder, write_plan
+from parking_sim.sweep_plan import make_runs
+
+SEEDS = range(1, 31)
+
+
+def main() -> None:
+    """Print for each target the answer of both and the share of the runs."""
+    given = arguments()
+    targets = [parse_target(text) for text in given.targets.split(",")]
+    values = grid(scenario(given, max(target.limit_s for target in targets)), targets, given)
+    whole = len(SEEDS) * given.most
+    print(f"{given.garage}: a grid of 1 to {given.most} AGVs with {len(SEEDS)} seeds is {whole} runs")
+    for target in targets:
+        known = values[target.key]
+        found = find_fleet(target, given.most, lambda agvs, seeds, k=known: [k[agvs][seed - 1] for seed in seeds])
+        best = brute_force(known, target, given.most)
+        verdict = "agrees" if best == found.agvs else f"DISAGREES with {best}"
+        print(f"{target.words}: {verdict}; {found.runs} runs, {found.runs / whole:.0%} of the grid")
+        print(f"    {answer(found, given.garage)}")
+
+
+def arguments() -> argparse.Namespace:
+    """Those of the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--garage", default="map1")
+    parser.add_argument("--most", type=int, default=8)
+    parser.add_argument("--targets", default="retrieval p95 < 5 min,retrieval mean < 4 min,retrieval p95 < 1 min")
+    parser.add_argument("--profile", default="mall-saturday")
+    parser.add_argument("--scale", type=float, default=0.25)
+    parser.add_argument("--hours", type=float, default=0.5)
+    parser.add_argument("--plant", default="sumo")
+    parser.add_argument("--folder", type=Path, default=Path("runs/benchmark-sizing"))
+    parser.add_argument("--workers", type=int, default=2)
+    return parser.parse_args()
+
+
+def scenario(given: argparse.Namespace, limit_s: float) -> Scenario:
+    """Some hours of the profile; the run goes on until the last request could have missed every target."""
+    traffic = ProfileTraffic(name=given.profile, start_h=14, hours=given.hours, scale=given.scale)
+    keys = {
+        "garage": given.garage,
+        "agvs": 1,
+        "plant": given.plant,
+        "workload": traffic.model_dump(),
+        "duration_s": 3600 * given.hours + limit_s,
+        "record": {"sample_s": 30.0},
+    }
+    return check_scenario(keys, "benchmark", Path())
+
+
+def grid(base: Scenario, targets: Sequence[Target], given: argparse.Namespace) -> dict[str, dict[int, list[float]]]:
+    """Measure -> fleet -> its value for each seed."""
+    folder = given.folder / given.garage
+    open_folder(folder)
+    fleets = range(1, given.most + 1)
+    specs = {n: make_runs([base.model_copy(update={"agvs": n})], [{"agvs": n}], SEEDS) for n in fleets}
+    write_plan([spec for group in specs.values() for spec in group], folder)
+    keys = {target.key for target in targets}
+    with open_executor(given.workers) as executor:
+        return {key: {n: measure_specs(specs[n], key, folder, executor) for n in fleets} for key in keys}
+
+
+def brute_force(values: dict[int, list[float]], target: Target, most: int) -> int | None:
+    """The smallest fleet whose 30 seeds meet the target."""
+    for agvs in range(1, most + 1):
+        if interval(values[agvs], 2 * LAST_CONFIDENCE - 1).high < target.limit_s:
+            return agvs
+    return None
+
+
+if __name__ == "__main__":
+    main()
