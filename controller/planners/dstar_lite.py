@@ -84,7 +84,7 @@ class DStarLite:
         wanted[announced] = 1
         _change(agent.vertex, wanted, steps, rate, lanes, memory, self.counters)
         _compute_shortest_path(agent.vertex, steps, rate, lanes, memory, self.counters)
-        cost = int(memory.g[agent.vertex])
+        cost = int(memory.rhs[agent.vertex])
         edge = best_edge(agent.vertex, agent.goal, memory.g, memory.closed, steps, self._ranked, lanes)
         _change(agent.vertex, base, steps, rate, lanes, memory, self.counters)
         return int(edge), cost
@@ -121,7 +121,7 @@ def _initialize(
 def _calculate_key(s: int, s_start: int, rate: float, lanes: Lanes, memory: Memory) -> int:
     """``[min(g, rhs) + h + k_m; min(g, rhs)]`` in one integer."""
     least = np.int64(min(memory.g[s], memory.rhs[s]))
-    return ((least + estimate(s_start, s, lanes.xy, rate) + memory.meta[KM]) << 32) | least
+    return int(((least + estimate(s_start, s, lanes.xy, rate) + memory.meta[KM]) << 32) | least)
 
 
 @njit(cache=True)
