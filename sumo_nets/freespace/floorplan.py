@@ -45,6 +45,8 @@ Spot = tuple[Metre, Metre]
 Polygon = Annotated[tuple[Spot, ...], Field(min_length=3)]
 #: A floor is at most this wide or high, in metres and in pixels of a picture.
 _LARGEST_M, _LARGEST_PIXELS = 2000.0, 8000
+#: A street may be this much out of line, and must be at least so long.
+_STRAIGHT_M, _SHORTEST_STREET_M = 1.0, 21.0
 #: A picture with more rectangles than this is no drawing of walls.
 _MOST_SOLIDS = 5000
 
@@ -113,10 +115,19 @@ class Picture(_Part):
 
 
 class Street(_Part):
-    """The street along the bays, driven from ``from`` to ``to``."""
+    """The street along the bays, driven from ``from`` to ``to``, along one axis; bays lie on its right."""
 
     start: Spot = Field(alias="from")
     to: Spot
+
+    @model_validator(mode="after")
+    def _straight(self) -> Street:
+        along, across = sorted((abs(a - b) for a, b in zip(self.start, self.to, strict=True)), reverse=True)
+        if across > _STRAIGHT_M:
+            raise ValueError(f"from {list(self.start)} to {list(self.to)} is slanted; a street is upright or level")
+        if along < _SHORTEST_STREET_M:
+            raise ValueError(f"from {list(self.start)} to {list(self.to)} is short; {_SHORTEST_STREET_M:g} m is valid")
+        return self
 
 
 class FloorPlan(_Part):

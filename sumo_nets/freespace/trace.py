@@ -38,6 +38,8 @@ _SHIFTS = 16
 #: Laying a guide path on cells, a lane that is there already costs this share of a new one.
 _REUSE = 0.5
 _ROOM_REACH_M = 3.0
+#: Nothing farther from a box than this is near its places or the aisle beside them.
+_MATTERS_M = 16.0
 _OPPOSITE: Mapping[Side, Side] = {"north": "south", "south": "north", "east": "west", "west": "east"}
 
 Cell = tuple[int, int]
@@ -240,11 +242,12 @@ def best_origin(plan: FloorPlan, walls: Floor, floor: Floor) -> Point:
         A point in the plan's metres, within one pitch of its corner.
     """
     step = plan.pitch_m / _SHIFTS
+    boxes = [(role, box, _around(box, walls), _around(box, floor)) for role, _, box in boxes_of(plan)]
 
     def worth(origin: Point) -> tuple[int, int, float]:
         used, slots, least = 0, 0, _ROOM_REACH_M
-        for role, _, box in boxes_of(plan):
-            line, room = _best_line(box, walls, floor, origin, plan.pitch_m)
+        for role, box, walls_near, floor_near in boxes:
+            line, room = _best_line(box, walls_near, floor_near, origin, plan.pitch_m)
             used += bool(line)
             slots += len(line) * box.per_cell if role == "slot" else 0
             least = min(least, room)
@@ -252,6 +255,13 @@ def best_origin(plan: FloorPlan, walls: Floor, floor: Floor) -> Point:
 
     origins = [(i * step, j * step) for i in range(_SHIFTS) for j in range(_SHIFTS)]
     return max(origins, key=worth)
+
+
+def _around(box: Box, floor: Floor) -> Floor:
+    """The floor with only those obstacles that matter to places in the box."""
+    low, high = np.array(box.box[:2]) - _MATTERS_M, np.array(box.box[2:]) + _MATTERS_M
+    near = [o for o in floor.obstacles if (o.max(axis=0) >= low).all() and (o.min(axis=0) <= high).all()]
+    return Floor(floor.width, floor.height, tuple(near), floor.clearance, floor.outline)
 
 
 def _best_line(box: Box, walls: Floor, floor: Floor, origin: Point, pitch: float) -> tuple[list[Cell], float]:
@@ -448,7 +458,7 @@ def _fit(
     """Make the layout; places that AGVs of full size can't reach are left out."""
     spurs = {(cell, row.side): (row.role, row.per_cell, row.label) for row in rows for cell in row.cells}
     dropped: dict[str, int] = {}
-    street = _snap(plan.street.start, cells), _snap(plan.street.to, cells)
+    street = _street(plan, cells)
     while True:
         _check_roles(spurs, source)
         draft = _Draft(plan, lanes, spurs, street)
@@ -466,9 +476,15 @@ def _fit(
     return Tracing(draft.layout(), cells.centre(draft.low), guide_paths, places, dropped, least)
 
 
-def _snap(point: Point, cells: _Cells) -> Cell:
-    x, y = ((p - o) / cells.pitch for p, o in zip(point, cells.origin, strict=True))
-    return round(x), round(y)
+def _street(plan: FloorPlan, cells: _Cells) -> tuple[Cell, Cell]:
+    """The cells nearest to the street's ends, in one row or one column."""
+    (x0, y0), (x1, y1) = (
+        tuple(round((p - o) / cells.pitch) for p, o in zip(end, cells.origin, strict=True))
+        for end in (plan.street.start, plan.street.to)
+    )
+    if abs(x1 - x0) < abs(y1 - y0):
+        return (x0, y0), (x0, y1)
+    return (x0, y0), (x1, y0)
 
 
 def _check_roles(spurs: Mapping[SpurKey, tuple[Role, int, str]], source: str) -> None:
