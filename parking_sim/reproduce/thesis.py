@@ -6,6 +6,7 @@ pipeline is our default planner with deadlock handling. What the rules are and w
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -45,6 +46,9 @@ METRICS: Mapping[str, str] = {
     "bound_share": "throughput as a share of the bound",
     "slot_choice_expanded": "nodes expanded to choose slots",
 }
+
+#: Metrics of the runs beyond the thesis's tables.
+BEYOND = ("completion", "conflicts", "throughput", "steps", "nodes_expanded", "bound_share")
 
 #: Demand seeds of the comparison of planners.
 SEEDS = range(10)
@@ -114,6 +118,9 @@ def reproduce(folder: Path, full: bool, workers: int = 2) -> None:
     runs.to_csv(folder / "thesis-runs.csv", index=False, float_format="%.6g")
     tables = runs[runs["seed"].isna() & ~runs["extra"]]
     text = "".join(f"{METRICS[metric]}\n\n{metric_table(tables, metric)}\n" for metric in METRICS)
+    if full:
+        beyond = runs[runs["extra"]]
+        text += "".join(f"park and fetch, {METRICS[m]}\n\n{metric_table(beyond, m, False)}\n" for m in BEYOND)
     findings = [*claims(tables), *best_planners(runs)]
     write_findings(findings, folder, "thesis")
     (folder / "thesis.md").write_text(text + findings_table(findings), encoding="utf-8")
@@ -166,8 +173,13 @@ def run_cases(cases: Sequence[Case], workers: int) -> pd.DataFrame:
     """Run cases in parallel processes; a row for each, in their order."""
     from parking_sim.executors import open_executor
 
+    rows = []
     with open_executor(workers) as executor:
-        return pd.DataFrame(list(executor.map(run_case, cases)))
+        for row in executor.map(run_case, cases):
+            rows.append(row)
+            if sys.stderr.isatty():
+                print(f"\r{len(rows)} of {len(cases)} runs", end="", file=sys.stderr, flush=True)
+    return pd.DataFrame(rows)
 
 
 def run_case(case: Case) -> dict[str, Any]:
@@ -221,15 +233,24 @@ def paper_value(metric: str, planner: str, garage: str, agvs: int, cars: float |
     return None if value is None else float(value)
 
 
-def metric_table(runs: pd.DataFrame, metric: str) -> str:
-    """One metric as a Markdown table: paper | thesis rules | fair rules | SUMO for each planner."""
+def metric_table(runs: pd.DataFrame, metric: str, in_paper: bool = True) -> str:
+    """One metric as a Markdown table: paper | thesis rules | fair rules | SUMO for each planner.
+
+    Args:
+        runs: one run for each row, planner and set of rules.
+        metric: name of the metric.
+        in_paper: the paper has such rows.
+
+    Returns:
+        The table.
+    """
     lines = [["row", *(f"{planner}: paper, thesis, fair, SUMO" for planner in PLANNERS)]]
     for garage, agvs, cars in runs[["garage", "agvs", "cars"]].drop_duplicates().itertuples(index=False):
         group = runs[(runs["garage"] == garage) & (runs["agvs"] == agvs)]
         cells = [f"{garage.upper()} x {agvs}" + ("" if pd.isna(cars) else f", {cars:g} cars")]
         for planner in PLANNERS:
             own = group[group["planner"] == planner].set_index("rules")[metric]
-            said = paper_value(metric, planner, garage, agvs, cars)
+            said = paper_value(metric, planner, garage, agvs, cars) if in_paper else None
             values = [said, *(own.get(rules) for rules in (THESIS, FAIR, SUMO))]
             cells.append(" / ".join("-" if v is None or pd.isna(v) else _short(float(v)) for v in values))
         lines.append(cells)
