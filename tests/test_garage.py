@@ -253,6 +253,34 @@ def test_a_car_is_fetched_once_however_often_it_is_asked_for(parked):
     assert (again.state, again.reason) == ("refused", "car is asked for already")
 
 
+def test_a_bay_takes_the_next_customer_as_soon_as_its_car_is_lifted():
+    garage = empty()
+    jobs = [park(garage, car) for car in "abc"]
+    assert [command.car for command in garage.call_forward()] == ["a", "b"]
+    garage.car_at_bay(jobs[0].origin, 1.0)
+    garage.assign(jobs[0], 0, 1.0, jobs[0].origin, GRAPH.slots[0])
+    assert garage.call_forward() == []
+    garage.lifted(jobs[0], 2.0)
+    assert garage.call_forward() == [CallForward("c", jobs[0].origin)]
+
+
+def test_a_bay_is_kept_until_its_customer_has_driven_off():
+    garage = with_cars("a", "b", handover="bay")
+    outs = [retrieve(garage, car) for car in "ab"]
+    for job in outs:
+        garage.assign(job, job.number, 1.0, job.origin)
+        garage.lifted(job, 2.0)
+        job.destination = GRAPH.bays[0]
+    garage.lower_starts(outs[0])
+    assert not garage.may_lower(outs[1])
+    assert garage.lowered(outs[0], 3.0) == [HandOver("a", GRAPH.bays[0])]
+    assert garage.board(3.0) == []
+    assert garage.board(3.0 + outs[0].handling_s) == [DriveOff("a", GRAPH.bays[0])]
+    assert not garage.may_lower(outs[1])
+    assert garage.car_left(GRAPH.bays[0], 99.0).state == "served"
+    assert garage.may_lower(outs[1])
+
+
 def test_handling_times_depend_on_the_order_of_requests_alone():
     plain, busy = with_cars("a"), with_cars("a")
     park(busy, "x")

@@ -148,10 +148,10 @@ def check_charging_rounds(record, agv):
 def test_an_agv_with_a_low_battery_charges_and_works_on_in_sumo(tmp_path):
     """A battery for some minutes instead of eight hours."""
     record = run(
-        tmp_path / "run", garage="map1", agvs=2, customers=BRISK, workload={"kind": "park_exit", "cars": 10},
-        agv={"battery_wh": 100.0, "charge_w": 4000.0}, max_time_s=20_000.0,
+        tmp_path / "run", garage="map1", agvs=2, customers=BRISK, workload={"kind": "park_exit", "cars": 14},
+        agv={"battery_wh": 250.0, "charge_w": 4000.0}, max_time_s=20_000.0,
     )  # fmt: skip
-    check_all_done(record, 10)
+    check_all_done(record, 14)
     chargers = {record.vertices.vertex[v] for v in read_net("map1").graph.chargers}
     done = charges(record)
     assert done
