@@ -39,8 +39,8 @@ def specs_of(folder: Path, text: str = SWEEP) -> tuple[RunSpec, ...]:
 
 
 def table_of(folder: Path) -> pd.DataFrame:
-    """Everything about the runs but wall-clock times."""
-    frame = load_runs(folder).runs.df()
+    """Everything about the runs but wall-clock times and the hash, which changes with a source edited meanwhile."""
+    frame = load_runs(folder).runs.df().drop(columns="run")
     return frame[[column for column in frame if not column.startswith("wall_")]]
 
 
