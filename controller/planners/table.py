@@ -16,7 +16,9 @@ from sumo_nets.graph import Graph
 PLANNERS: dict[str, tuple[str, str, str]] = {
     "whca": ("controller.planners.whca", "make_whca", "WhcaOptions"),
     "token": ("controller.planners.token", "make_token", "TokenOptions"),
+    "online_mapf": ("controller.planners.online_mapf", "make_online_mapf", "OnlineMapfOptions"),
     "pbs": ("controller.planners.pbs", "make_pbs", "PbsOptions"),
+    "pibt": ("controller.planners.pibt", "make_pibt", ""),
     "astar": ("controller.planners.astar", "make_astar", ""),
     "dstar_lite": ("controller.planners.dstar_lite", "make_dstar_lite", ""),
     "binary_tree": ("controller.planners.binary_tree", "make_binary_tree", "BinaryTreeOptions"),

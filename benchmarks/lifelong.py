@@ -1,0 +1,228 @@
+"""Lifelong tasks on 4-connected grids, one move a tick: the setting in which public solvers are measured.
+
+    python benchmarks/lifelong.py [--planner token,whca] [--map warehouse] [--agents 10,50] [--seeds 3] [--ticks 1000]
+
+On arrival an AGV gets a random new end point that nobody else has or heads for. Turning costs nothing. Executor,
+planner and deadlock handling are those of the product, called as the ACS calls them; there is no SUMO. One row for
+each map, fleet and planner: tasks a tick (also without any conflict: ``ideal``), milliseconds of CPU a tick of planning
+alone and of the whole control, deadlocks found and left, and the longest time that no task was done (a jam).
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import random
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+
+from controller.costs import Costs
+from controller.deadlock.ladder import LadderLimits
+from controller.executor import Executor
+from controller.fleet import Agv
+from controller.planners.cbs import CbsLimits
+from controller.planners.table import load_planner
+from controller.planning import ControlOptions, Planning
+from controller.rules import Rules
+from controller.types import Advance, AgvMode, AgvState, Motion, Planner, PlanningProblem, PlanResult, make_motion
+from sumo_nets.graph import Graph
+from sumo_nets.movingai import grid_graph, read_map
+
+#: Fleets of each map.
+FLEETS = {"warehouse": (10, 50, 100, 200), "garage": (4, 8, 16, 32, 64)}
+#: Window in ticks, replanning period, and ticks without coming nearer to the goal that count as stuck. Agents of PIBT
+#: go out of their way for long.
+SETTINGS = {"pbs": (40, 5, 20), "whca": (40, 5, 20), "pibt": (5, 1, 100)}
+
+
+def warehouse() -> Graph:
+    """33 x 46 cells: three times eight blocks of ten shelves with end points above and below."""
+    shelf = ".".join(["@" * 10] * 3)
+    front = ".".join(["e" * 10] * 3)
+    side = ".rr.rr."
+    block = [f"{side}{front}{side[::-1]}", f"{side}{shelf}{side[::-1]}", f"{side}{front}{side[::-1]}", "." * 46]
+    return grid_graph("warehouse", ["." * 46, *block * 8])
+
+
+def garage() -> Graph:
+    """13 single-width two-way aisles between two main roads, 390 dead-end slots, 6 bays at the lower road."""
+    aisle = "@e.e" * 13 + "@"
+    walls = ["@@.@" * 13 + "@"]
+    road = "." * len(aisle)
+    bays = list("@" * len(aisle))
+    for x in range(6):
+        bays[4 + 9 * x] = "b"
+    return grid_graph("garage", [road, *walls, *[aisle] * 15, *walls, road, "".join(bays)])
+
+
+MAPS = {"warehouse": warehouse, "garage": garage}
+
+
+@dataclass(slots=True)
+class Timed:
+    """A planner with a clock around it."""
+
+    planner: Planner
+    spent_s: float = 0.0
+
+    @property
+    def complete(self) -> bool:
+        """As the planner says."""
+        return bool(getattr(self.planner, "complete", False))
+
+    def __call__(self, problem: PlanningProblem) -> PlanResult:
+        """Plan, and count the time."""
+        start = process_time()
+        result = self.planner(problem)
+        self.spent_s += process_time() - start
+        return result
+
+
+class Lifelong:
+    """One run.
+
+    Attributes:
+        done: tasks done so far.
+        ideal: steps that all tasks given so far take without conflicts.
+        quiet: longest time without a task done.
+    """
+
+    def __init__(self, graph: Graph, agents: int, planner: str, seed: int, options: dict[str, object]) -> None:
+        self.graph = graph
+        motion = ticks(graph)
+        self.rng = random.Random(seed)
+        self.points = sorted({*graph.slots, *graph.bays} or range(len(graph.names)))
+        starts = self.rng.sample(self.points, agents)
+        self.timed = Timed(load_planner(planner, graph, motion, options))
+        self.agvs = [Agv(n, v, v, AgvMode.GOING_TO_COLLECT) for n, v in enumerate(starts)]
+        self.executor = Executor(graph, motion, starts)
+        self.blocked = np.zeros(len(graph.names), dtype=np.uint8)
+        self.costs = Costs(graph, motion, self.blocked, keep=len(graph.names))
+        self.events: dict[str, int] = {}
+        self.planning = Planning(
+            self.timed, control_options(planner), self.agvs, self.executor, RULES, self.costs, self._log
+        )
+        self.rest = np.zeros(len(graph.names), dtype=np.uint8)
+        self.count = [0] * agents
+        self.done, self.quiet, self._last = 0, 0, 0
+        self.assigned, self.ideal = 0, 0
+        for agv in self.agvs:
+            self._new_goal(agv)
+
+    def run(self, ticks: int) -> None:
+        """So many ticks."""
+        for step in range(ticks):
+            self._tick(step)
+        self.quiet = max(self.quiet, ticks - self._last)
+
+    def _tick(self, step: int) -> None:
+        self.executor.update([AgvState(n, c, c, True) for n, c in enumerate(self.count)], step)
+        for agv in self.agvs:
+            if self.executor.agvs[agv.number].last == agv.goal:
+                self.done += 1
+                self.quiet, self._last = max(self.quiet, step - self._last), step
+                self._new_goal(agv)
+        self.planning.step(step, self.blocked, lambda: self.rest)
+        self.planning.take_calls()
+        for command in self.executor.grants(step):
+            if isinstance(command, Advance):
+                self.count[command.agv] += 1
+
+    def _new_goal(self, agv: Agv) -> None:
+        taken = {v for other in self.agvs for v in (other.goal, self.executor.agvs[other.number].last)}
+        agv.goal = self.rng.choice([v for v in self.points if v not in taken])
+        self.ideal += int(self.costs.to(agv.goal)[self.executor.agvs[agv.number].last])
+        self.assigned += 1
+        self.planning.goal_changed()
+
+    def _log(self, kind: str, agv: int, car: str, vertex: int, detail: dict[str, object]) -> None:
+        self.events[kind] = self.events.get(kind, 0) + 1
+
+
+RULES = Rules(
+    lift_slot=0, lower_slot=0, lift_bay=0, lower_bay=0, charge_below=0.0, charge_to=1.0, charge_steps=0,
+    charge_least_steps=0, assign_on_return=True, cell_steps=1,
+)  # fmt: skip
+
+
+def ticks(graph: Graph) -> Motion:
+    """One tick a move, no turning cost."""
+    return make_motion(graph, 1.0, lambda _metres, _loaded: 1, lambda _degrees, _loaded: 0, True)
+
+
+def control_options(planner: str) -> ControlOptions:
+    """Window and period of a planner, limits of deadlock handling in ticks."""
+    window, period, stuck = SETTINGS.get(planner, (5, 1, 20))
+    return ControlOptions(
+        period_steps=period, window_cells=window, window_min=window, window_max=window,
+        ladder=LadderLimits(
+            patience_steps=stuck // 10, stuck_steps=stuck,
+            cbs=CbsLimits(expansions=64, nodes=128, constraints=64, ranges=True),
+        ),
+    )  # fmt: skip
+
+
+def measure(
+    graph: Graph, agents: int, planner: str, seeds: int, length: int, options: dict[str, object]
+) -> dict[str, object]:
+    """One row: means over the seeds, the worst of what must not happen."""
+    runs, spent = [], 0.0
+    for seed in range(1, seeds + 1):
+        run = Lifelong(graph, agents, planner, seed, options)
+        start = process_time()
+        run.run(length)
+        spent += process_time() - start
+        runs.append(run)
+    total = seeds * length
+    found = sum(run.events.get("deadlock_found", 0) for run in runs)
+    return {
+        "map": graph.name, "agents": agents, "planner": planner,
+        "tasks_per_tick": round(sum(run.done for run in runs) / total, 4),
+        "ideal": round(agents * sum(run.assigned for run in runs) / sum(run.ideal for run in runs), 4),
+        "planning_ms": round(1000 * sum(run.timed.spent_s for run in runs) / total, 3),
+        "control_ms": round(1000 * spent / total, 3),
+        "deadlocks": found,
+        "unresolved": found - sum(run.events.get("deadlock_resolved", 0) for run in runs),
+        "rejected": sum(run.events.get("plan_rejected", 0) for run in runs),
+        "longest_quiet": max(run.quiet for run in runs),
+    }  # fmt: skip
+
+
+def rows(given: argparse.Namespace) -> Iterator[dict[str, object]]:
+    """All rows asked for; compiles first."""
+    for name in given.map.split(","):
+        graph = MAPS[name]() if name in MAPS else read_map(Path(name))
+        fleets: Sequence[int] = [int(n) for n in given.agents.split(",")] if given.agents else FLEETS[name]
+        for planner in given.planner.split(","):
+            measure(graph, 2, planner, 1, 20, {})
+            for agents in fleets:
+                yield measure(graph, agents, planner, given.seeds, given.ticks, {})
+
+
+def main() -> None:
+    """Print a row each, and write them if asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--planner", default="token,pbs,whca,pibt")
+    parser.add_argument("--map", default="warehouse,garage", help="also a MovingAI .map file, with --agents")
+    parser.add_argument("--agents", default="")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--ticks", type=int, default=1000)
+    parser.add_argument("--csv", type=Path)
+    given = parser.parse_args()
+    done = []
+    for row in rows(given):
+        done.append(row)
+        print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
+    if given.csv:
+        with given.csv.open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(done[0]))
+            writer.writeheader()
+            writer.writerows(done)
+
+
+if __name__ == "__main__":
+    main()
