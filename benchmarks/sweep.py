@@ -36,7 +36,7 @@ def main() -> None:
         print(f"{len(specs)} runs of {given.minutes:g} simulated minutes")
         seconds: dict[str, float] = {}
         tables: dict[str, pd.DataFrame] = {}
-        ways = {"1 process": (1, False), "2 processes": (2, False), "dask, 2 workers": (2, True)}
+        ways = {"1 process": (1, False), "2 processes": (2, False), "2 dask workers": (2, True)}
         for way, (workers, dask) in ways.items():
             if not (dask and given.no_dask):
                 seconds[way], tables[way] = timed(specs, folder / way, workers, dask)

@@ -92,6 +92,8 @@ def open_folder(folder: Path) -> None:
     Raises:
         InputError: it holds something else or can't be written.
     """
+    if "," in str(folder.resolve()):
+        raise InputError(f"--out: {folder}: SUMO reads a comma as the end of a path; give a folder without one")
     try:
         if folder.is_dir() and any(folder.iterdir()) and not (folder / SWEEP_FILE).is_file():
             raise InputError(f"--out: {folder}: holds files that are not a sweep's; give another folder")
@@ -186,28 +188,33 @@ def do_run(scenario: Scenario, out: Path) -> None:
         out: folder of its record, which appears whole or not at all.
 
     Raises:
-        InputError, NetError: the scenario does not fit its garage.
+        InputError: the scenario does not fit its garage.
         RunFailedError: anything else went wrong.
     """
-    from parking_sim.simulation import simulate
-    from sumo_nets.read import NetError
-
     part = out.with_name(f"{out.name}{_PART}{socket.gethostname()}-{os.getpid()}")
     try:
         with _one_at_a_time:
-            status = simulate(scenario, part).status
-        if status == "interrupted":
-            raise RunFailedError("interrupted")
+            error = _simulate(scenario, part)
+        if error is not None:
+            raise error
         if not out.exists():
             part.replace(out)
-    except (InputError, NetError) as error:
-        raise InputError(str(error)) from None
-    except RunFailedError:
-        raise
-    except Exception as error:
-        raise RunFailedError(f"{type(error).__name__}: {error} ({_place(error)})") from None
     finally:
         shutil.rmtree(part, ignore_errors=True)
+
+
+def _simulate(scenario: Scenario, folder: Path) -> Exception | None:
+    """Do a run; what went wrong is returned as text alone, for libsumo's exceptions don't travel between processes."""
+    from parking_sim.simulation import simulate
+    from sumo_nets.read import NetError
+
+    try:
+        status = simulate(scenario, folder).status
+    except (InputError, NetError) as error:
+        return InputError(str(error))
+    except Exception as error:
+        return RunFailedError(f"{type(error).__name__}: {error} ({_place(error)})")
+    return RunFailedError("interrupted") if status == "interrupted" else None
 
 
 def _error_of(future: Future[None]) -> BaseException | None:

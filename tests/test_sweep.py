@@ -22,7 +22,7 @@ from parking_sim.cli import main
 from parking_sim.errors import InputError
 from parking_sim.executors import SpawnedWorkers, open_executor
 from parking_sim.progress import progress_words
-from parking_sim.sweep import SweepProgress, do_run, open_folder, run_missing, sweep
+from parking_sim.sweep import RunFailedError, SweepProgress, do_run, open_folder, run_missing, sweep
 from parking_sim.sweep_plan import RunSpec, load_sweep
 
 SWEEP = """
@@ -120,6 +120,20 @@ def test_other_files_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="holds files that are not a sweep's"):
         open_folder(tmp_path)
+
+
+def test_a_folder_that_sumo_cannot_name(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="give a folder without one"):
+        open_folder(tmp_path / "a, b")
+
+
+def test_an_error_travels_without_what_caused_it(tmp_path: Path) -> None:
+    (tmp_path / "broken.py").write_text(PLANNER)
+    (spec,) = specs_of(tmp_path, "base: {garage: map1, agvs: 1, plant: discrete, planner: 'broken.py:plan'}\n")
+    with pytest.raises(RunFailedError) as caught:
+        do_run(spec.scenario, tmp_path / "run")
+    assert caught.value.__context__ is None
+    assert list(tmp_path.glob("run*")) == []
 
 
 def test_a_partial_record_is_no_record(tmp_path: Path, done: Path) -> None:
