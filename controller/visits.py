@@ -44,7 +44,7 @@ def malformed(agv: int, path: Path) -> str:
     if path.agv != agv:
         return f"AGV {agv} is given the path of AGV {path.agv}"
     if not path.vertices or len(arrive) != len(path.vertices) or len(depart) != len(arrive) - 1:
-        return f"AGV {agv}: {len(path.vertices)} vertices, {len(arrive)} arrivals and {len(depart)} departures don't fit"
+        return f"AGV {agv}: {len(path.vertices)} vertices, {len(arrive)} arrivals and {len(depart)} departures"
     if arrive[0] < 0 or any(not arrive[i] <= t < arrive[i + 1] for i, t in enumerate(depart)):
         return f"AGV {agv}: its times do not run forwards"
     return ""

@@ -6,9 +6,9 @@ vertices are not: they may be left, never driven into, unless they are the goal.
 vertex may come back to it; that its best way leads through it a second time is left out of account.)
 
 Departures from the paper: durations differ per edge, turns cost time, and the estimate is the larger of the Manhattan
-and the Euclidean distance times the fastest pace of any edge (consistent, so a closed state is final). Places from which
-AGVs set out again and again (homes, bays, chargers) get a table of exact distances from there, made once: a search aimed
-at such a place then goes straight to it.
+and the Euclidean distance times the fastest pace of any edge (consistent, so a closed state is final). Places from
+which AGVs set out again and again (homes, bays, chargers) get a table of exact distances from there, made once: a
+search aimed at such a place then goes straight to it.
 """
 
 from __future__ import annotations
@@ -149,16 +149,16 @@ def _forward(
         g[e] = lanes.edge_steps[row, e]
         heapq.heappush(OPEN, (g[e], np.int32(e)))
     while OPEN:
-        cost, e = heapq.heappop(OPEN)
-        if cost > g[e]:
+        cost, last = heapq.heappop(OPEN)
+        if cost > g[last]:
             continue
         counters[EXPANDED] += 1
         counters[VALID] += 1
-        v = lanes.head[e]
+        v = lanes.head[last]
         if ends[v]:
             continue
         for out in range(lanes.first_out[v], lanes.first_out[v + 1]):
-            turn = lanes.turn_steps[row, lanes.first_transition[e] + out - lanes.first_out[v]]
+            turn = lanes.turn_steps[row, lanes.first_transition[last] + out - lanes.first_out[v]]
             there = np.int32(cost + turn + lanes.edge_steps[row, out])
             if turn < NEVER and there < g[out]:
                 g[out] = there

@@ -16,7 +16,8 @@ The exact distance of a state is only asked for when its turn comes, until then 
 Departures from the papers: turns take time before a departure; with ``following`` False an agent owns both ends of an
 edge while it drives; with ``following`` True a move that would close a ring of agents, each entering the vertex that
 the next one leaves in the same step (a swap is the ring of two), is not allowed.
-Guarantee: the path of least f, or none if there is none. Ties: smaller f, exact h before a bound, larger g, the older state.
+Guarantee: the path of least f, or none if there is none. Ties: smaller f, exact h before a bound,
+larger g, the older state.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ from sumo_nets.graph import IntArray
 
 #: Columns of ``_Memory.nodes``. EDGE is -1 for the start; SLOT numbers the safe interval of the vertex, which lasts
 #: until LAST; T and LEAVE are the arrival and the departure before it; OLDER is the next node of the same edge; STALE
-#: is 1 once a better node has replaced it; FINAL is 1 where a path may end at arrival; EXACT is 1 when H is the distance
-#: and no bound below it.
+#: is 1 once a better node has replaced it; FINAL is 1 where a path may end at arrival; EXACT is 1 when H is the
+#: distance and no bound below it.
 EDGE, VERTEX, SLOT, T, LEAVE, LAST, H, FKEY, PARENT, OLDER, STALE, FINAL, EXACT = range(13)
 
 #: Places of the query that the kernel reads.
@@ -273,8 +274,8 @@ def _sipp(
 
 @njit(cache=True)
 def _generate(
-    edge: int, vertex: int, slot: int, t: int, leave: int, last: int, h: int, exact: bool, parent: int, query: IntArray,
-    no_rest: NDArray[np.uint8], memory: _Memory, counters: NDArray[np.int64],
+    edge: int, vertex: int, slot: int, t: int, leave: int, last: int, h: int, exact: bool, parent: int,
+    query: IntArray, no_rest: NDArray[np.uint8], memory: _Memory, counters: NDArray[np.int64],
 ) -> None:  # fmt: skip
     """Put a state on OPEN unless it has been reached as early; an older node of the same state becomes stale."""
     nodes, newest, meta = memory.nodes, memory.newest, memory.meta

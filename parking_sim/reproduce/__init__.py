@@ -26,14 +26,6 @@ def thesis(full: Full = False, out: Out = None) -> None:
     reproduce(out or Path("runs/reproduce/thesis"), full)
 
 
-@app.command("thesis")
-def thesis(full: Full = False, out: Out = None) -> None:
-    """A*, D* Lite and the pipeline on three maps, under the thesis's rules, equal rules and in SUMO (paper 002)."""
-    from parking_sim.reproduce.thesis import reproduce
-
-    reproduce(out or Path("runs/reproduce/thesis"), full)
-
-
 @app.command("rrt-grid")
 def rrt_grid(full: Full = False, out: Out = None) -> None:
     """RRT-GRID against RRT and RRT* on thirty layouts in five categories (paper 001)."""
