@@ -231,11 +231,11 @@ def answer(sizing: Sizing, where: str) -> str:
             f"No fleet of 1 to {sizing.tried[-1].agvs} AGVs meets '{sizing.target.words}' in {where}: the best tried,"
             f" {best.agvs}, has {_span(best.mean)} ({runs})."
         )
-    fleet = f"{sizing.agvs} AGV{'s' if sizing.agvs > 1 else ''}"
+    fleet = f"{sizing.agvs} AGVs meet" if sizing.agvs > 1 else "1 AGV meets"
     below = by_size.get(sizing.agvs - 1)
     less = f"; {below.agvs} do not, with {_span(below.mean)}" if below is not None else ""
     reached = _span(by_size[sizing.agvs].mean)
-    return f"{fleet} meet '{sizing.target.words}' in {where} with 95 % confidence: {reached}{less} ({runs})."
+    return f"{fleet} '{sizing.target.words}' in {where} with 95 % confidence: {reached}{less} ({runs})."
 
 
 def _judge(agvs: int, limit_s: float, measure: Measure, looks: Sequence[int]) -> Tried:

@@ -50,5 +50,5 @@ def test_five_commands_end_with_the_answer(tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert re.search(r"\d AGVs? meet 'retrieval p95 < 15 min' in map1, mall-saturday times 0.5 from ", done.stdout)
+    assert re.search(r"\d AGVs? meets? 'retrieval p95 < 15 min' in map1, mall-saturday times 0.5 from ", done.stdout)
     assert (tmp_path / "clone" / "runs" / "size-map1-mall-saturday" / "report.html").is_file()
