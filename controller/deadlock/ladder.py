@@ -62,7 +62,7 @@ class Deadlock:
         cause: "ring", "idle" or "stuck".
         since: step at which the waiting began.
         stage: the stage whose plan is being carried out, "" while there is none.
-        leader: the AGV whose arrival is the progress.
+        leader, goal, arrived: the AGV whose arrival is the progress, where it goes, and whether it is there.
         locked: AGVs that still carry the plan out.
         moved: last step at which one of them made headway, or at which the ladder was climbed in vain.
         granted: vertices granted to the members when last looked at.
@@ -75,6 +75,8 @@ class Deadlock:
     since: int
     stage: str = ""
     leader: int = -1
+    goal: int = -1
+    arrived: bool = False
     locked: set[int] = field(default_factory=set)
     moved: int = 0
     granted: int = 0
@@ -207,9 +209,15 @@ class Ladder:
         busy = any(not ex.agvs[n].standing for n in deadlock.locked)
         if granted != deadlock.granted or busy:
             deadlock.granted, deadlock.moved = granted, step
-        deadlock.locked = {n for n in deadlock.locked if ex.agvs[n].pending}
-        if not deadlock.locked:
+        through = {n for n in deadlock.locked if not ex.agvs[n].pending}
+        if deadlock.leader in through:
+            deadlock.arrived = ex.agvs[deadlock.leader].last == deadlock.goal
+        deadlock.locked -= through
+        if not deadlock.locked and deadlock.arrived:
             self._close(deadlock, step)
+        elif not deadlock.locked:
+            self._failed(deadlock, deadlock.stage, "the plan was cut short")
+            self._give_up(deadlock, step)
         elif step - deadlock.moved >= 3 * self._limits.patience_steps:
             self._failed(deadlock, deadlock.stage, "the plan made no progress")
             self._give_up(deadlock, step)
@@ -350,6 +358,8 @@ class Ladder:
             self._failed(deadlock, resolution.stage, refusal.reason)
             return False
         deadlock.stage, deadlock.leader = resolution.stage, resolution.leader
+        way = resolution.paths[resolution.leader].vertices
+        deadlock.goal, deadlock.arrived = way[-1], len(way) == 1
         deadlock.locked = {n for n, path in resolution.paths.items() if len(path.vertices) > 1}
         deadlock.moved, deadlock.granted = step, 0
         return True
