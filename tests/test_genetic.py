@@ -99,6 +99,7 @@ def test_meetings_that_can_be_counted_by_hand():
     assert Robots(behind).cost(into_the_goal)[0] == 1  # in the middle of the aisle; afterwards the second one is gone
 
 
+@settings(deadline=None)
 @given(st.integers(0, 10**6), st.integers(2, 9))
 def test_diversity_is_the_mean_over_all_pairs(seed, size):
     population = Robots(make(seed, 6)).first_generation(size, np.random.default_rng(seed))

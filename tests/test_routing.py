@@ -127,6 +127,7 @@ def test_a_blocked_vertex_is_no_way_but_may_be_the_goal():
     assert find_route(tree, 0, free.vertices[1], blocked=mask) is not None
 
 
+@settings(deadline=None)
 @given(st.floats(5, 85), st.floats(0.3, 2.0), st.floats(0.5, 3.0))
 def test_a_constant_steering_angle_drives_a_circle(steer_deg, v_d, l):  # noqa: E741
     d, steps, dt = steer_deg * DEG, 200, 0.02
@@ -147,6 +148,7 @@ def test_straight_on_and_turning_in_place():
     assert ForkAgv(l=1.0, steer_deg=45.0).least_radius_m == pytest.approx(1.0)
 
 
+@settings(deadline=None)
 @given(st.floats(0.6, 5.0), st.floats(20, 120))
 def test_the_swept_ring_holds_every_corner_of_the_body(radius, bend_deg):
     agv = ForkAgv(front_m=1.7, rear_m=1.2, width_m=1.0)

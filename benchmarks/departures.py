@@ -1,0 +1,78 @@
+"""Batches of departures planned at once: what the planners of papers 003 and 004 make of them beside WHCA*.
+
+    python benchmarks/departures.py
+
+Loaded AGVs stand in random slots of a shipped garage and all want to the bays, or the places beside them, within one
+window. Printed are means over the batches: agents that hold their place, delay of the others in moves (of a cell)
+against driving alone, and CPU seconds a batch.
+"""
+
+from __future__ import annotations
+
+from time import process_time
+
+import numpy as np
+
+from controller.conflicts import validate
+from controller.planners.table import load_planner
+from controller.search.distances import Distances
+from controller.search.space import Space
+from controller.types import Motion, PlanAgent, PlanningProblem, PlanResult
+from parking_sim.plants.sumo_agv import AgvType, sumo_motion
+from sumo_nets.graph import Graph
+from sumo_nets.read import read_net
+
+PLANNERS = ("whca", "binary_tree", "ga_single", "ga_two_stage")
+BATCHES, WINDOW_CELLS = 10, 40
+
+
+def batch(graph: Graph, motion: Motion, agvs: int, seed: int) -> PlanningProblem:
+    """So many loaded AGVs in random slots, on their way to places near the bays."""
+    rng = np.random.default_rng(seed)
+    starts = rng.choice(graph.slots, agvs, replace=False)
+    gates = [int(graph.head[graph.first_out[bay]]) for bay in graph.bays]
+    goals = [*graph.bays, *gates, *graph.homes][:agvs]
+    agents = [
+        PlanAgent(i, int(v), -1, 0, goal, True, priority=agvs - i)
+        for i, (v, goal) in enumerate(zip(starts, goals, strict=True))
+    ]
+    blocked = np.zeros(len(graph.names), dtype=np.uint8)
+    window = WINDOW_CELLS * int(np.median(motion.edge_steps[1]))
+    return PlanningProblem(graph, motion, tuple(agents), (), blocked, blocked.copy(), window, seed)
+
+
+def delay(problem: PlanningProblem, result: PlanResult, distances: Distances) -> float:
+    """Mean over the agents that have a path: moves later at the goal than if each were alone."""
+    late = []
+    for a in problem.agents:
+        if a.agv in result.paths:
+            path = result.paths[a.agv]
+            edge = problem.graph.edge_index[path.vertices[-2:]] if len(path.vertices) > 1 else -1
+            rest = distances.distance(path.vertices[-1], edge, a.goal, a.loaded)
+            end = path.arrive[-1] if rest == 0 else max(path.arrive[-1], problem.window_steps)
+            late.append(end + rest - distances.distance(a.vertex, -1, a.goal, a.loaded))
+    return float(np.mean(late)) / float(np.median(problem.motion.edge_steps[1]))
+
+
+def main() -> None:
+    print("| garage | AGVs | planner | hold | delay, moves | CPU s |\n|---|---|---|---|---|---|")
+    for name, agvs in (("map1", 4), ("map1", 8), ("map2", 8), ("map2", 16)):
+        graph = read_net(name).graph
+        motion = sumo_motion(graph, AgvType(), 0.5)
+        problems = [batch(graph, motion, agvs, seed) for seed in range(BATCHES)]
+        distances = Distances(Space(graph, motion))
+        for planner_name in PLANNERS:
+            planner = load_planner(planner_name, graph, motion, {})
+            planner(problems[0])  # compiled before anything is timed
+            began = process_time()
+            results = [planner(problem) for problem in problems]
+            seconds = (process_time() - began) / BATCHES
+            if any(validate(problem, result) for problem, result in zip(problems, results, strict=True)):
+                raise RuntimeError(f"{planner_name}: a plan that can't be driven")
+            held = np.mean([len(result.failed) for result in results])
+            late = np.mean([delay(p, r, distances) for p, r in zip(problems, results, strict=True)])
+            print(f"| {name} | {agvs} | {planner_name} | {held:.1f} | {late:.2f} | {seconds:.3f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
