@@ -9,6 +9,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from parking_sim.folders import JOURNAL
+from parking_sim.journal import read_journal
 from parking_sim.record import COLUMNS, Recorder
 
 if TYPE_CHECKING:
@@ -104,12 +106,16 @@ def load_run(folder: Path) -> Run:
         folder: what ``Recorder.write`` wrote.
 
     Returns:
-        The run; tables are read when they are first used.
+        The run; tables are read when they are first used. Of one that was killed what its journal holds, with status
+        "killed" and the last second recorded.
 
     Raises:
-        FileNotFoundError: if there is no complete record in the folder.
+        FileNotFoundError: if there is no record in the folder.
     """
     path = folder / "run.json"
+    if not path.is_file() and (folder / JOURNAL).is_file():
+        recorder, time_s = read_journal(folder)
+        return recorded_run(recorder, {"status": "killed", "simulated_s": time_s}, folder.resolve().name)
     if not path.is_file():
         raise FileNotFoundError(f"no record of a run in {folder} (run.json is missing)")
     meta = json.loads(path.read_text(encoding="utf-8"))

@@ -138,6 +138,28 @@ def replay_(
 
 
 @app.command()
+def resume(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run that was killed.")],
+    report: Annotated[bool, typer.Option(help="Write an HTML report.")] = True,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
+) -> None:
+    """Finish a run that was killed: simulated anew, compared with what it had recorded, to the same record."""
+    from parking_sim.config import load_scenario
+    from parking_sim.folders import JOURNAL
+    from parking_sim.simulation import simulate
+
+    if not (folder / JOURNAL).is_file():
+        raise InputError(f"{folder}: no run that did not end; nothing to resume")
+    loaded = load_scenario(folder / "scenario.yaml")
+    with _progress_bar(folder.name, quiet) as progress:
+        summary = simulate(loaded, folder, progress=progress, resumed=True)
+    pages = _write_pages(folder, report, loaded.record.replay)
+    if not quiet:
+        _print_summary(summary, folder, pages)
+    raise typer.Exit(exit_code(summary.status, loaded.duration_s is not None))
+
+
+@app.command()
 def demo(
     out: Annotated[Path | None, typer.Option(help="Folder for records and report; default: runs/demo, anew.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace earlier runs in that folder.")] = False,

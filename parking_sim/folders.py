@@ -9,8 +9,10 @@ from parking_sim.errors import InputError
 
 #: A folder that holds this file holds a run. It is the last file of a run to be written.
 RUN_FILE = "run.json"
+#: A folder that holds this one holds a run that has not ended, see ``parking_sim.journal``.
+JOURNAL = "journal.jsonl"
 
-_SUFFIXES = {".parquet", ".json", ".html", ".xml", ".gz", ".sumocfg", ".yaml", ".svg", ".png"}
+_SUFFIXES = {".parquet", ".json", ".jsonl", ".html", ".xml", ".gz", ".sumocfg", ".yaml", ".svg", ".png"}
 
 
 def check_folder(folder: Path, force: bool) -> None:
@@ -25,9 +27,15 @@ def check_folder(folder: Path, force: bool) -> None:
     """
     try:
         if folder.is_dir() and any(folder.iterdir()):
-            if not (folder / RUN_FILE).is_file():
+            if (folder / JOURNAL).is_file() and not (folder / RUN_FILE).is_file():
+                if not force:
+                    raise InputError(
+                        f"--out: {folder}: holds a run that did not end; go on with it: parking-sim resume {folder},"
+                        " or give --force to replace it"
+                    )
+            elif not (folder / RUN_FILE).is_file():
                 raise InputError(f"--out: {folder}: holds files that are not a run's; give another folder")
-            if not force:
+            elif not force:
                 raise InputError(
                     f"--out: {folder}: holds an earlier run; give another folder, or --force to replace it"
                 )
@@ -43,10 +51,10 @@ def clear_run(folder: Path) -> None:
         folder: a run's folder. One that is absent or holds no run is left as it is, and so are folders within and files
             of kinds that a run doesn't write.
     """
-    if (folder / RUN_FILE).is_file():
+    if (folder / RUN_FILE).is_file() or (folder / JOURNAL).is_file():
         for path in (folder / RUN_FILE, *folder.iterdir()):
             if path.is_file() and path.suffix in _SUFFIXES:
-                path.unlink()
+                path.unlink(missing_ok=True)
 
 
 def _try_writing(folder: Path) -> None:

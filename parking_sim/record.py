@@ -360,6 +360,10 @@ class Recorder:
         """An AGV's plan has changed. See ``COLUMNS["plans"]``."""
         self._rows["plans"].append((time_s, agv, granted, " ".join(map(str, path))))
 
+    def add(self, table: str, row: tuple[Any, ...]) -> None:
+        """A row as ``rows`` gives it."""
+        self._rows[table].append(row)
+
     def rows(self, table: str) -> Sequence[tuple[Any, ...]]:
         """The rows of a table so far, in the order of ``COLUMNS[table]``."""
         return self._rows[table]

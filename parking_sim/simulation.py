@@ -19,6 +19,7 @@ from controller.types import Action, Advance, AgvMode, Request
 from parking_sim.assembly import World, assemble
 from parking_sim.config import Scenario
 from parking_sim.folders import clear_run
+from parking_sim.journal import FLUSH_S, Journal
 from parking_sim.plants import CarAtBay
 from parking_sim.record import AgvRow, Recorder, TaskRow
 from parking_sim.scenario_file import write_scenario
@@ -67,6 +68,7 @@ def simulate(
     gui: bool = False,
     fcd: bool = False,
     progress: Callable[[Progress], None] | None = None,
+    resumed: bool = False,
 ) -> Summary:
     """Run a scenario.
 
@@ -76,19 +78,24 @@ def simulate(
         gui: show it in sumo-gui.
         fcd: write SUMO's floating car data as well.
         progress: called a few times a second.
+        resumed: ``out`` holds the journal of this run, which was killed; see ``parking_sim.journal``.
 
     Returns:
         How it ended. Ctrl-C ends the run early with the record so far.
 
     Raises:
-        InputError, NetError: the scenario does not fit its garage; nothing has been written then.
+        InputError, NetError: the scenario does not fit its garage; nothing has been written then. Or a resumed run
+            differs from its journal.
         PlantError: SUMO failed.
     """
     world = assemble(scenario)
     run = _Run(world, progress)
     if out is not None:
-        clear_run(out)
+        if not resumed:
+            clear_run(out)
         out.mkdir(parents=True, exist_ok=True)
+        write_scenario(scenario, out / "scenario.yaml")
+        run.journal = Journal(out, resumed)
     with run.started(out, gui, fcd or scenario.record.fcd):
         status = run.loop()
     return run.finish(status, out)
@@ -107,6 +114,7 @@ class _Run:
         self.step = 0
         self.step_s = world.motion.step_s
         self.names = world.net.graph.names
+        self.journal: Journal | None = None
         self._progress = progress
         self._told = 0.0
         self._phase = -1
@@ -156,6 +164,7 @@ class _Run:
         scenario = self.world.scenario
         end_s = scenario.duration_s or scenario.max_time_s
         sample_every = max(1, round(scenario.record.sample_s / self.step_s))
+        flush_every = max(1, round(FLUSH_S / self.step_s))
         try:
             while True:
                 self._customers()
@@ -173,6 +182,8 @@ class _Run:
                 self._wall["plant"] += perf_counter() - t
                 self.step += 1
                 self._check()
+                if self.journal is not None and self.step % flush_every == 0:
+                    self.journal.flush(self.recorder, self.now_s)
                 if self.step % 256 == 0:
                     self._tell()
         except KeyboardInterrupt:
@@ -355,8 +366,9 @@ class _Run:
 
         if out is None:
             return Summary(status, run_metrics(recorded_run(self.recorder, meta)), None)
-        write_scenario(self.world.scenario, out / "scenario.yaml")
         self.recorder.write(out, meta)
+        if self.journal is not None:
+            self.journal.close(finished=True)
         return Summary(status, write_metrics(out), out)
 
     def _task_row(self, job: Job) -> TaskRow:
