@@ -71,10 +71,11 @@ def middle(tab: Browser, selector: str) -> tuple[float, float]:
 
 
 def pixel(tab: Browser, x_m: float, y_m: float) -> list[int]:
-    """Colour of the scene at a place of the garage."""
+    """Colour of the scene at a place of the garage, once what was asked for is drawn."""
     script = (
-        f"(() => {{ const p = replay.toScreen({x_m}, {y_m});"
-        " return [...document.getElementById('scene').getContext('2d').getImageData(...p, 1, 1).data]; })()"
+        "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done))).then(() => {"
+        f" const p = replay.toScreen({x_m}, {y_m});"
+        " return [...document.getElementById('scene').getContext('2d').getImageData(...p, 1, 1).data]; })"
     )
     return [int(value) for value in tab.run(script)]
 
@@ -239,11 +240,11 @@ def test_deadlock_is_marked_and_told(little: Browser) -> None:
     bar = little.run("document.getElementById('track').toDataURL()")
     little.key("n")
     assert little.run("replay.time") == 100_000
+    assert drawn(little) != before
     agv = little.run("replay.drawn.agvs[0]")
     ring = pixel(little, agv["x"], agv["y"] + 3.5)
     assert ring[0] > 150
     assert ring[1] < 120, "a red ring"
-    assert drawn(little) != before
     assert little.run("document.getElementById('track').toDataURL()") != bar
     little.wait("document.getElementById('list').textContent.includes('in a deadlock')")
     little.run("document.querySelector('[data-tab=deadlocks]').click()")
