@@ -218,8 +218,10 @@ def problems(
         )
     blocked = np.zeros(n, dtype=np.uint8)
     no_rest = np.zeros(n, dtype=np.uint8)
+    folds = bool((motion.turn_steps >= NEVER).any())
     for v in draw(st.sets(st.integers(0, n - 1), max_size=2)):
-        blocked[v] = 1
+        # around a bend that can't be driven the best way may lead through a start twice; ``Distances`` leaves that out
+        blocked[v] = not (folds and v in starts)
     for v in draw(st.sets(st.integers(0, n - 1), max_size=2)):
         no_rest[v] = 1
     window = draw(st.sampled_from([3, 8, 30, 1 << 29])) if window is None else window
