@@ -12,6 +12,7 @@ import numpy as np
 from sumo_nets.bodies import MIN_GAP_M, MIN_LANE_M, ClosestBodies, closest_moving, closest_standing
 from sumo_nets.graph import Graph
 from sumo_nets.read import GarageNet
+from sumo_nets.well_formed import describe
 
 #: Longest that SUMO may take to load a net.
 _LOAD_TIMEOUT_S = 300
@@ -43,7 +44,7 @@ def check_net(garage: GarageNet) -> list[str]:
 
 
 def describe_net(garage: GarageNet) -> str:
-    """One line with what a net holds: counts by role, vertices, lanes, one-way lanes."""
+    """One line with what a net holds: counts by role, vertices, lanes, one-way lanes, whether end points block ways."""
     graph = garage.graph
     counts = ", ".join(
         f"{len(graph.roles[role])} {role}s"
@@ -53,7 +54,8 @@ def describe_net(garage: GarageNet) -> str:
     one_way = int((graph.reverse < 0).sum())
     return (
         f"{garage.name}: {counts}; {len(graph.names)} vertices,"
-        f" {(len(graph.tail) - one_way) // 2} two-way and {one_way} one-way lanes; hand-over at the {garage.handover}"
+        f" {(len(graph.tail) - one_way) // 2} two-way and {one_way} one-way lanes; hand-over at the {garage.handover};"
+        f" {describe(graph)}"
     )
 
 

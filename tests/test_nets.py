@@ -421,7 +421,7 @@ def test_a_net_without_its_additional_file_is_one_line(tmp_path: Path) -> None:
 def test_a_net_is_described_in_a_line(nets: dict[str, GarageNet]) -> None:
     assert describe_net(nets["map1"]) == (
         "map1: 61 slots, 2 bays, 8 homes, 3 chargers; 123 vertices, 94 two-way and 34 one-way lanes;"
-        " hand-over at the bay"
+        " hand-over at the bay; well-formed: end points block nobody"
     )
 
 
