@@ -63,26 +63,31 @@ def ring_of(paths: Iterable[Path], conflict: Conflict) -> list[tuple[int, int, i
     return [(move.agv, move.tail, move.head) for move in ring]
 
 
-def validate(problem: PlanningProblem, result: PlanResult) -> list[str]:
+def validate(problem: PlanningProblem, result: PlanResult, one_move: bool = False) -> list[str]:
     """Every reason why a plan may not be carried out, in words; empty if there is none.
 
     Checked against the problem: who is planned, starts, neighbours, blocked vertices, durations, order of times, how
     far paths reach, and conflicts with each other and with the fixed paths inside the window. Agents in
-    ``result.failed`` count as standing at their start for the whole window.
+    ``result.failed`` keep their fixed path if they have one, else they stand at their start for the whole window.
+    With ``one_move`` paths may end before the window does: what comes after the move is not promised to anybody.
     """
-    agents = {agent.agv: agent for agent in problem.agents}
+    agents = {agent.agv: agent for agent in (*problem.carrying, *problem.agents)}
+    asked = {agent.agv for agent in problem.agents}
     reasons = [f"AGV {agv}: a path, but it was not to be planned" for agv in result.paths.keys() - agents.keys()]
     reasons += [
         f"AGV {agv}: neither a path nor named as failed"
-        for agv in sorted(agents.keys() - result.paths.keys() - result.failed.keys())
+        for agv in sorted(asked - result.paths.keys() - result.failed.keys())
     ]
     for agv in sorted(result.paths.keys() & agents.keys()):
         reasons += [f"AGV {agv}: {reason}" for reason in _path_faults(problem, agents[agv], result.paths[agv])]
+        if not one_move and result.paths[agv].until < min(problem.window_steps, FOREVER):
+            reasons.append(f"AGV {agv}: its last vertex is kept until step {result.paths[agv].until} only")
     if reasons:
         return reasons
-    standing = [Path(agv, (agents[agv].vertex,), (0,), (), problem.window_steps) for agv in result.failed]
-    paths = [*problem.fixed, *result.paths.values(), *standing]
-    fixed = {path.agv for path in problem.fixed}
+    kept = [path for path in problem.fixed if path.agv not in result.paths]
+    fixed = {path.agv for path in kept}
+    standing = [Path(n, (agents[n].vertex,), (0,), (), problem.window_steps) for n in result.failed if n not in fixed]
+    paths = [*kept, *result.paths.values(), *standing]
     return [
         f"AGVs {c.agents[0]} and {c.agents[1]}: {c.kind} conflict at vertex {c.vertex}, step {c.step}"
         for c in find_conflicts(paths, problem.motion, problem.window_steps)
@@ -186,8 +191,8 @@ def _path_faults(problem: PlanningProblem, agent: PlanAgent, path: Path) -> Iter
             return
         yield from _move_faults(problem, agent, path, i, ready, edge, following_edge)
         edge, ready = following_edge, path.arrive[i + 1]
-    if path.until < min(problem.window_steps, FOREVER) or path.until < path.arrive[-1]:
-        yield f"its last vertex is kept until step {path.until} only"
+    if path.until < path.arrive[-1]:
+        yield f"its last vertex is kept until step {path.until} only, before it gets there"
     if problem.window_steps >= FOREVER and v[-1] != agent.goal:
         yield f"ends at vertex {v[-1]} instead of its goal {agent.goal}"
 

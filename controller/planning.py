@@ -93,6 +93,7 @@ class Planning:
     ) -> None:
         self._planner = planner
         self._complete = bool(getattr(planner, "complete", False))
+        self._improves = self._complete and bool(getattr(planner, "improves", False))
         self._options = options
         self._agvs = agvs
         self._executor = executor
@@ -176,7 +177,11 @@ class Planning:
             fixed += [path for n, path in timed.items() if self._complete or n in locked or n in immobile]
         agents = tuple(self._agent(agv, step) for agv in self._to_plan())
         window = FOREVER if self._complete else self._window * self._rules.cell_steps
-        return PlanningProblem(ex.graph, ex.motion, agents, tuple(fixed), blocked, no_rest, window)
+        carrying: tuple[PlanAgent, ...] = ()
+        if self._improves:
+            given = {*locked, *(agent.agv for agent in agents)}
+            carrying = tuple(self._agent(agv, step) for agv in self._agvs if agv.number not in given | immobile)
+        return PlanningProblem(ex.graph, ex.motion, agents, tuple(fixed), blocked, no_rest, window, carrying=carrying)
 
     def _agent(self, agv: Agv, step: int) -> PlanAgent:
         a = self._executor.agvs[agv.number]

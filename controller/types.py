@@ -234,6 +234,7 @@ class PlanningProblem:
         no_rest: shape (n,), 1 where no agent may come to rest but the one whose goal it is.
         window_steps: planning horizon in steps, ``FOREVER`` for complete paths.
         seed: for planners that draw random numbers.
+        carrying: agents whose path in ``fixed`` ends at their goal; a planner of complete paths may give them another.
     """
 
     graph: Graph
@@ -244,6 +245,7 @@ class PlanningProblem:
     no_rest: NDArray[np.uint8]
     window_steps: int
     seed: int = 0
+    carrying: tuple[PlanAgent, ...] = ()
 
 
 class Status(StrEnum):

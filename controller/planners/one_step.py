@@ -53,8 +53,11 @@ class OneStep:
     """The planner.
 
     Attributes:
+        one_move: its paths end with the move, before the window does.
         search: what finds the moves.
     """
+
+    one_move = True
 
     def __init__(self, search: MoveSearch) -> None:
         self.search = search

@@ -3,6 +3,7 @@
 Every agent always has a complete path to a place where it may rest for ever. An agent with a new goal gets the quickest
 path that keeps clear of all other paths, rests included; if there is none yet it keeps the path it has and is asked
 again. Agents that fail are tried once more after the others, since a new path of another agent may have made room.
+After that the plan of all can be improved, see ``lns``.
 
 Guarantee: in a well-formed garage (slots, bays, homes and chargers are end points, and between any two of them there
 is a way that passes no other) no deadlock can arise, since every accepted set of paths can be carried out to its end.
@@ -18,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from controller.planners.lns import Improvement
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
@@ -32,9 +34,13 @@ class TokenOptions:
 
     Attributes:
         passes: how often agents without a path are tried in one call.
+        improvements: neighbourhoods of late agents planned again in one call, at most; see ``lns``.
+        late_moves: who is later than driving alone by more than so many moves is late.
     """
 
     passes: int = 2
+    improvements: int = 0
+    late_moves: int = 2
 
 
 class Token:
@@ -43,12 +49,15 @@ class Token:
     Attributes:
         complete: it plans complete paths; only agents whose goal is new have to be given, and ``fixed`` may hold the
             path that such an agent carries out so far.
+        improves: it wants to know the agents that have a path, ``PlanningProblem.carrying``.
     """
 
     complete = True
 
     def __init__(self, space: Space, options: TokenOptions) -> None:
         self.options = options
+        self.improves = options.improvements > 0
+        self._threshold = options.late_moves * int(np.median(space.lanes.edge_steps))
         self._slots = np.zeros(len(space.graph.names), dtype=np.uint8)
         self._slots[list(space.graph.slots)] = 1
         self.distances = Distances(space, ends=self._slots)
@@ -83,8 +92,19 @@ class Token:
             waiting = [agent for agent in waiting if agent.agv in failed]
             if not waiting:
                 break
+        if self.improves:
+            self._improve(problem, carried, paths)
         counters = Counters(*self.distances.counters.tolist())
         return PlanResult(Status.PARTIAL if failed else Status.SOLVED, paths, failed, counters)
+
+    def _improve(self, problem: PlanningProblem, carried: dict[int, Path], paths: dict[int, Path]) -> None:
+        """Improve the plan of all that have a path to their goal; paths that change are added to ``paths``."""
+        everybody = carried | paths
+        agents = {a.agv: a for a in problem.carrying if a.agv in carried and carried[a.agv].vertices[-1] == a.goal}
+        agents |= {a.agv: a for a in problem.agents if a.agv in paths}
+        improvement = Improvement(problem, agents, everybody, self.table, self._search)
+        improvement.run(self.options.improvements, self._threshold)
+        paths.update({agv: everybody[agv] for agv in improvement.changed})
 
     def _replace(self, agent: PlanAgent, carried: Path | None, problem: PlanningProblem) -> Path | None:
         """A new path in the table instead of the carried one; if there is none the carried one stays."""
