@@ -11,6 +11,9 @@ Two ways to split a conflict at a vertex:
 
 Guarantee: without limits and ranges SOLVED is optimal. Limits: if there is no solution the tree may grow for ever, so
 give limits; all paths run to the goal and rest there, whatever the window of the problem.
+
+As the planner ``cbs`` (``CbsPlanner``) it is the yardstick for small cases: every call plans everybody to the goal, and
+one that the limit ends is planned as by WHCA* instead.
 """
 
 from __future__ import annotations
@@ -21,11 +24,23 @@ from dataclasses import dataclass, replace
 from itertools import count
 
 from controller.conflicts import find_conflicts, ring_of
+from controller.planners.whca import Round
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
 from controller.search.space import Space
-from controller.types import FOREVER, Conflict, Counters, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from controller.types import (
+    FOREVER,
+    Conflict,
+    Counters,
+    Motion,
+    Path,
+    PlanAgent,
+    PlanningProblem,
+    PlanResult,
+    Status,
+)
+from sumo_nets.graph import Graph
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +178,68 @@ class Cbs:
 def cbs(problem: PlanningProblem, limits: CbsLimits | None = None) -> PlanResult:
     """Solve one problem with fresh search memory; see ``Cbs``."""
     return Cbs(Distances(Space(problem.graph, problem.motion)), limits)(problem)
+
+
+@dataclass(frozen=True, slots=True)
+class CbsOptions:
+    """Options of CBS as a planner.
+
+    Attributes:
+        expansions: see ``CbsLimits``.
+        raises: see ``WhcaOptions``; for problems that CBS does not solve.
+    """
+
+    expansions: int = 500
+    raises: int = 10
+
+
+class CbsPlanner:
+    """CBS for all agents of a problem, and WHCA* where that takes too long.
+
+    Attributes:
+        solved, calls: how many calls CBS itself answered, of how many.
+    """
+
+    def __init__(self, space: Space, options: CbsOptions) -> None:
+        self.options = options
+        self.distances = Distances(space)
+        self.solved, self.calls = 0, 0
+        self._cbs = Cbs(self.distances, CbsLimits(expansions=options.expansions))
+        self._search = PathSearch(self.distances)
+
+    def __call__(self, problem: PlanningProblem) -> PlanResult:
+        """Plan for all agents of a problem.
+
+        Returns:
+            SOLVED, and optimal if CBS answered; else as from WHCA*, or without a window as from ``Cbs``.
+        """
+        before = self.distances.counters.copy()
+        result = self._cbs(problem)
+        self.calls += 1
+        self.solved += result.status is Status.SOLVED
+        if result.status is Status.SOLVED or problem.window_steps >= FOREVER:
+            return result
+        self._search.begin(problem)
+        table = ReservationTable(len(problem.graph.names), problem.motion.following)
+        for path in problem.fixed:
+            table.add(path)
+        round_ = Round(problem, table, self._search, self.options.raises)
+        round_.run()
+        work = Counters(*(self.distances.counters - before).tolist())
+        return PlanResult(round_.status, round_.paths, round_.failed, work)
+
+
+def make_cbs(graph: Graph, motion: Motion, options: CbsOptions | None = None) -> CbsPlanner:
+    """A CBS planner for one garage.
+
+    Args:
+        graph, motion: the garage and how long moves take; all problems must be of these.
+        options: see ``CbsOptions``.
+
+    Returns:
+        The planner; call it with a problem.
+    """
+    return CbsPlanner(Space(graph, motion), options or CbsOptions())
 
 
 def _split(problem: PlanningProblem, node: _Node, ranges: bool) -> Iterator[Constraint]:

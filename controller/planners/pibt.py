@@ -77,7 +77,7 @@ class Pibt:
             if not self._moves(problem, agent):
                 stand(i, moves)
         rank_all(agents, moves, self.distances, closed)
-        one_move(moves)
+        one_move(np.arange(len(agents), dtype=np.int32), moves)
         paths = _timed(problem, agents, moves, free_at)
         return PlanResult(Status.SOLVED, paths, counters=Counters(*self.distances.counters.tolist()))
 
@@ -202,9 +202,9 @@ def _rank(
 
 
 @njit(cache=True)
-def one_move(moves: Moves) -> None:
-    """Settle everybody's move, in order of priority."""
-    for i in range(len(moves.now)):
+def one_move(order: IntArray, moves: Moves) -> None:
+    """Settle the moves that are still open, in this order."""
+    for i in order:
         if moves.next[i] == NOBODY:
             _settle(i, moves)
 
@@ -244,7 +244,7 @@ def _next_place(i: int, tried: IntArray, moves: Moves) -> int:
         tried[i] += 1
         if v == NOBODY:
             break
-        if moves.taker[v] == NOBODY and _may_enter(i, v, moves) and not _closes_ring(i, v, moves):
+        if moves.taker[v] == NOBODY and _may_enter(i, v, moves) and not closes_ring(i, v, moves):
             return int(v)
     return NOBODY
 
@@ -283,7 +283,7 @@ def _reserve_beyond(i: int, v: int, taker: int, moves: Moves) -> None:
 
 
 @njit(cache=True)
-def _closes_ring(i: int, v: int, moves: Moves) -> bool:
+def closes_ring(i: int, v: int, moves: Moves) -> bool:
     """Whether those who move on from ``v`` come round to where ``i`` stands; two are a swap."""
     j = moves.occupant[v]
     while j != NOBODY and j != i and moves.next[j] != NOBODY:

@@ -20,6 +20,7 @@ PLANNERS: dict[str, tuple[str, str, str]] = {
     "pbs": ("controller.planners.pbs", "make_pbs", "PbsOptions"),
     "pibt": ("controller.planners.pibt", "make_pibt", ""),
     "lacam": ("controller.planners.lacam", "make_lacam", "LacamOptions"),
+    "cbs": ("controller.planners.cbs", "make_cbs", "CbsOptions"),
     "astar": ("controller.planners.astar", "make_astar", ""),
     "dstar_lite": ("controller.planners.dstar_lite", "make_dstar_lite", ""),
     "binary_tree": ("controller.planners.binary_tree", "make_binary_tree", "BinaryTreeOptions"),

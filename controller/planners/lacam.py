@@ -1,0 +1,400 @@
+"""LaCAM* (Okumura 2023, "LaCAM" and "Improving LaCAM"): lazy search over configurations, with PIBT as their generator.
+
+A configuration says where everybody is; a move leads to the next one. The search goes depth first: PIBT proposes the
+next configuration, and each time the search comes back to one, a further constraint (who has to go where) makes PIBT
+propose another. Once the goals are reached the rest of the effort improves the plan, as costs are passed on between
+configurations that are known already. Moves last one unit in the search; afterwards each agent's way and the order of
+visits at each vertex are given their earliest times with turns, loads and lengths.
+
+Guarantee: without a limit the search is complete for moves that are no rings, and the plan tends to the least sum of
+moves. Limits: effort is counted in configurations proposed (``LacamOptions.proposals``), never in seconds, so equal
+problems have equal plans. Vertices of ``fixed`` paths are closed, however soon they are left, but for those that are
+about to be left by somebody driving: meant for groups that stand, and for starts. The search does not know of bends
+too sharp to drive; a plan that needs one counts as none.
+
+Departures from the papers: rings don't move on as a whole, see ``pibt``. An agent whose goal can't be reached, or is
+that of one with a higher priority, may end anywhere. Ties are broken by numbers that depend on the problem's seed.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from controller.planners.pibt import NOBODY, Moves, closes_ring, dead_ends, obstacles, one_move
+from controller.search.space import Lanes, Space
+from controller.types import FOREVER, NEVER, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from sumo_nets.graph import Graph, IntArray
+
+#: Added for each vertex of distance when places are ranked; below it ties are broken.
+_UNIT = 16
+
+
+@dataclass(frozen=True, slots=True)
+class LacamOptions:
+    """Options of LaCAM*.
+
+    Attributes:
+        proposals: configurations that PIBT may propose in one call.
+        improve: after the first plan, at most so many times the proposals it took go into improving it.
+    """
+
+    proposals: int = 5000
+    improve: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Constraint:
+    """Who has to go where: one agent each, those of ``parent`` included."""
+
+    parent: _Constraint | None = None
+    agent: int = NOBODY
+    vertex: int = NOBODY
+    depth: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class _Node:
+    """A configuration of the search.
+
+    Attributes:
+        Q: vertex of each agent.
+        order: agents by priority; constraints are added in this order.
+        rank: priority of each agent: moves since it was last at its goal, and a fraction.
+        g: cost of the way here.
+        h: bound below the cost to the goals.
+        parent: the configuration before this one.
+        neighbours: configurations that follow this one, as found so far.
+        tree: constraints not tried yet.
+    """
+
+    Q: IntArray
+    order: IntArray
+    rank: NDArray[np.float64]
+    g: int
+    h: int
+    parent: _Node | None
+    neighbours: dict[bytes, _Node] = field(default_factory=dict)
+    tree: deque[_Constraint] = field(default_factory=lambda: deque([_Constraint()]))
+
+
+class Lacam:
+    """The planner.
+
+    Args:
+        space: the garage.
+        options: see ``LacamOptions``.
+    """
+
+    def __init__(self, space: Space, options: LacamOptions) -> None:
+        self.options = options
+        self._space = space
+        self._outward = dead_ends(space)
+
+    def __call__(self, problem: PlanningProblem) -> PlanResult:
+        """Plan for all agents of a problem, each to its goal.
+
+        Returns:
+            SOLVED; without a window TIMEOUT when the proposals did not suffice and INFEASIBLE when some goal can't be
+            reached, both without paths. With a window those that come nearest to the goals are SOLVED.
+        """
+        result = self.resolve(problem)
+        if result.status is Status.PARTIAL:
+            windowed = problem.window_steps < FOREVER
+            return PlanResult(Status.SOLVED, result.paths, {}, result.counters) if windowed else _none(result)
+        return result
+
+    def resolve(self, problem: PlanningProblem) -> PlanResult:
+        """The same for a deadlocked group.
+
+        Returns:
+            As ``__call__``, but PARTIAL, with a path for everybody, when some had to end elsewhere: ``failed`` names
+            them.
+        """
+        search = _Search(problem, self._space, self._outward, self.options)
+        status = search.run()
+        counters = Counters(expanded=search.proposals, generated=len(search.known), valid=len(search.known))
+        windowed = problem.window_steps < FOREVER
+        if status is not Status.SOLVED and not windowed:
+            return PlanResult(status, {}, {}, counters)
+        paths = timed_paths(problem, search.agents, search.configurations(), search.free_at)
+        if any(path.arrive[-1] >= NEVER for path in paths.values()):
+            return PlanResult(Status.INFEASIBLE, {}, {}, counters)
+        elsewhere = dict.fromkeys(search.elsewhere, NOBODY)
+        return PlanResult(Status.PARTIAL if elsewhere else Status.SOLVED, paths, elsewhere, counters)
+
+
+def _none(result: PlanResult) -> PlanResult:
+    return PlanResult(Status.INFEASIBLE, {}, {}, result.counters)
+
+
+class _Search:
+    """The search of one call. Index ``i`` of an agent is its place in ``agents``, the highest priority first."""
+
+    def __init__(self, problem: PlanningProblem, space: Space, outward: IntArray, options: LacamOptions) -> None:
+        self.agents = sorted(problem.agents, key=lambda agent: (-agent.priority, agent.agv))
+        self.options = options
+        self.lanes = space.lanes
+        self.closed, self.free_at = obstacles(problem)
+        self.proposals = 0
+        self.known: dict[bytes, _Node] = {}
+        self.goal: _Node | None = None
+        self.seed = problem.seed
+        self._successors = problem.graph.successors
+        self._goals, self.elsewhere, self.distance = self._aims()
+        starts = np.array([agent.vertex for agent in self.agents], dtype=np.int32)
+        n, a = len(outward), len(self.agents)
+        degree = int(np.diff(self.lanes.first_out).max(initial=0))
+        self._moves = Moves(
+            starts, np.empty(a, dtype=np.int32), np.full(n, NOBODY, dtype=np.int32), np.full(n, NOBODY, dtype=np.int32),
+            np.empty((a, degree + 1), dtype=np.int32), self._goals, outward,
+        )  # fmt: skip
+        self.start = self._node(starts.copy(), None)
+        self._nearest = self.start
+
+    def _aims(self) -> tuple[IntArray, list[int], IntArray]:
+        """Goals, AGVs that may end anywhere, and moves from each vertex to each agent's goal (all 0 for those)."""
+        goals = np.array([agent.goal for agent in self.agents], dtype=np.int32)
+        distance = np.zeros((len(self.agents), len(self.closed)), dtype=np.int32)
+        elsewhere = []
+        for i, agent in enumerate(self.agents):
+            _fill_distances(agent.goal, self.closed, self.lanes, distance[i])
+            taken = self.closed[agent.goal] == 2 and agent.goal != agent.vertex
+            if taken or agent.goal in goals[:i] or distance[i, agent.vertex] >= FOREVER:
+                distance[i] = 0
+                elsewhere.append(agent.agv)
+        return goals, elsewhere, distance
+
+    def run(self) -> Status:
+        """Search until the goals are reached and the effort for improvement is spent, or there is nothing left."""
+        OPEN = [self.start]
+        budget = self.options.proposals
+        while OPEN and self.proposals < budget:
+            N = OPEN[-1]
+            if self.goal is None and N.h == 0:
+                self.goal = N
+                budget = min(budget, self.proposals + int(self.options.improve * self.proposals))
+            if (self.goal is not None and N.g + N.h >= self.goal.g) or not N.tree:
+                OPEN.pop()
+                continue
+            Q = self._propose(N, N.tree.popleft())
+            if Q is None:
+                continue
+            known = self.known.get(Q.tobytes())
+            if known is None:
+                OPEN.append(self._node(Q, N))
+            else:
+                N.neighbours[Q.tobytes()] = known
+                self._pass_on(N, OPEN)
+                OPEN.append(known)
+        if self.goal is not None:
+            return Status.SOLVED
+        return Status.TIMEOUT if OPEN else Status.INFEASIBLE
+
+    def _node(self, Q: IntArray, parent: _Node | None) -> _Node:
+        away = self.distance[np.arange(len(Q)), Q]
+        h = int(away.sum())
+        if parent is None:
+            rank = away / (1.0 + away.max(initial=0))
+            g = 0
+        else:
+            rank = np.where(away == 0, parent.rank % 1.0, parent.rank + 1.0)
+            g = parent.g + self._cost(parent.Q, Q)
+        node = _Node(Q, np.argsort(-rank, kind="stable").astype(np.int32), rank, g, h, parent)
+        self.known[Q.tobytes()] = node
+        if parent is not None:
+            parent.neighbours[Q.tobytes()] = node
+        if parent is None or h < self._nearest.h:
+            self._nearest = node
+        return node
+
+    def _cost(self, Q_from: IntArray, Q_to: IntArray) -> int:
+        """A unit for everybody who is not at the goal before and after."""
+        everybody = np.arange(len(Q_from))
+        return int(((self.distance[everybody, Q_from] > 0) | (self.distance[everybody, Q_to] > 0)).sum())
+
+    def _propose(self, N: _Node, C: _Constraint) -> IntArray | None:
+        """The next configuration under a constraint, whose own children are put on the tree; None if impossible."""
+        if C.depth < len(self.agents):
+            i = int(N.order[C.depth])
+            here = int(N.Q[i])
+            for v in (*self._successors[here], here):
+                if not self.closed[v] or v == here or (self.closed[v] == 1 and v == self.agents[i].goal):
+                    N.tree.append(_Constraint(C, i, v, C.depth + 1))
+        self.proposals += 1
+        moves = self._moves
+        salt = self.seed * 7919 + self.proposals
+        _begin(N.Q, moves, self.distance, self.closed, self.lanes, salt)
+        while C.parent is not None:
+            if moves.taker[C.vertex] != NOBODY or closes_ring(C.agent, C.vertex, moves):
+                break
+            moves.next[C.agent] = C.vertex
+            moves.taker[C.vertex] = C.agent
+            C = C.parent
+        possible = C.parent is None and _complete(N.order, moves)
+        Q = moves.next.copy() if possible else None
+        _end(moves)
+        return Q
+
+    def _pass_on(self, N: _Node, OPEN: list[_Node]) -> None:
+        """Pass a cheaper way on to all configurations known to follow (Dijkstra's relaxation)."""
+        queue = deque([N])
+        while queue:
+            node = queue.popleft()
+            for other in node.neighbours.values():
+                g = node.g + self._cost(node.Q, other.Q)
+                if g < other.g:
+                    other.g, other.parent = g, node
+                    queue.append(other)
+                    if self.goal is not None and other.g + other.h < self.goal.g:
+                        OPEN.append(other)
+
+    def configurations(self) -> list[IntArray]:
+        """From the start to the goals, or as near to them as was found."""
+        node: _Node | None = self.goal or self._nearest
+        found = []
+        while node is not None:
+            found.append(node.Q)
+            node = node.parent
+        return found[::-1]
+
+
+@njit(cache=True)
+def _fill_distances(goal: int, closed: NDArray[np.uint8], lanes: Lanes, distance: IntArray) -> None:
+    """Moves from every vertex to the goal; closed vertices may be left, not passed."""
+    distance[:] = FOREVER
+    distance[goal] = 0
+    queue = np.empty(len(distance), dtype=np.int32)
+    queue[0], first, size = goal, 0, 1
+    while first < size:
+        v = queue[first]
+        first += 1
+        if closed[v] and v != goal:
+            continue
+        for k in range(lanes.first_in[v], lanes.first_in[v + 1]):
+            u = lanes.tail[lanes.in_edges[k]]
+            if distance[u] == FOREVER:
+                distance[u] = distance[v] + 1
+                queue[size] = u
+                size += 1
+
+
+@njit(cache=True)
+def _begin(Q: IntArray, moves: Moves, distance: IntArray, closed: NDArray[np.uint8], lanes: Lanes, salt: int) -> None:
+    """Nobody's move is settled; everybody's places are ranked by distance, of equal ones the empty ones first."""
+    moves.now[:] = Q
+    moves.next[:] = NOBODY
+    for i in range(len(Q)):
+        moves.occupant[Q[i]] = i
+    keys = np.empty(moves.ranked.shape[1], dtype=np.int64)
+    for i in range(len(Q)):
+        v = Q[i]
+        row = moves.ranked[i]
+        row[:] = NOBODY
+        size = 0
+        for k in range(lanes.first_out[v], lanes.first_out[v + 1] + 1):
+            w = lanes.head[k] if k < lanes.first_out[v + 1] else v
+            if w != v and closed[w] and (closed[w] == 2 or w != moves.goals[i]):
+                continue
+            key = _UNIT * np.int64(distance[i, w]) + (i * 31 + w * 17 + salt) % 7
+            if moves.occupant[w] != NOBODY and w != v:
+                key += _UNIT // 2
+            place = size
+            while place > 0 and keys[place - 1] > key:
+                keys[place], row[place] = keys[place - 1], row[place - 1]
+                place -= 1
+            keys[place], row[place] = key, w
+            size += 1
+
+
+@njit(cache=True)
+def _complete(order: IntArray, moves: Moves) -> bool:
+    """Have PIBT settle the moves that are open; False if two would end at one vertex."""
+    one_move(order, moves)
+    return bool((moves.taker[moves.next] == np.arange(len(order))).all())
+
+
+@njit(cache=True)
+def _end(moves: Moves) -> None:
+    """Clear the vertices, at a cost proportional to the agents."""
+    for i in range(len(moves.now)):
+        moves.occupant[moves.now[i]] = NOBODY
+        moves.taker[moves.now[i]] = NOBODY
+        if moves.next[i] != NOBODY:
+            moves.taker[moves.next[i]] = NOBODY
+        w = moves.goals[i]
+        while moves.outward[w] != NOBODY:  # what was reserved beyond a neck
+            moves.taker[w] = NOBODY
+            w = moves.outward[w]
+
+
+def timed_paths(
+    problem: PlanningProblem,
+    agents: Sequence[PlanAgent],
+    configurations: Sequence[IntArray],
+    free_at: Mapping[int, int],
+) -> dict[int, Path]:
+    """Earliest times for everybody's way that keep the order of visits at each vertex.
+
+    Args:
+        problem: graph and motion.
+        agents: whose vertices the configurations hold, in this order.
+        configurations: from the agents' present vertices on, one move a row, without rings.
+        free_at: step from which on a vertex is free at all, where that is not now.
+
+    Returns:
+        A path for each agent, without waits that nobody is the cause of.
+    """
+    graph, motion = problem.graph, problem.motion
+    free = dict(free_at)
+    clock = [agent.ready_step for agent in agents]
+    edges = [agent.in_edge for agent in agents]
+    rows: list[tuple[list[int], list[int], list[int]]] = [([agent.vertex], [0], []) for agent in agents]
+    for before, after in pairwise(configurations):
+        for i in _who_leaves_first(before, after):
+            u, w = int(before[i]), int(after[i])
+            agent, (vertices, arrive, depart) = agents[i], rows[i]
+            edge = graph.edge_index[u, w]
+            has_turned = len(vertices) == 1 and agent.turned_to == w
+            turn = 0 if has_turned else motion.turn(graph, edges[i], edge, agent.loaded)
+            drive = int(motion.edge_steps[int(agent.loaded), edge])
+            leave = max(clock[i] + turn, free.get(w, 0) - (drive if motion.following else 0))
+            clock[i], edges[i] = leave + drive, edge
+            free[u] = clock[i]
+            vertices.append(w)
+            arrive.append(clock[i])
+            depart.append(leave)
+    return {a.agv: Path(a.agv, tuple(v), tuple(t), tuple(d)) for a, (v, t, d) in zip(agents, rows, strict=True)}
+
+
+def _who_leaves_first(before: IntArray, after: IntArray) -> list[int]:
+    """Those who move, so that whoever enters a vertex comes behind the one that leaves it."""
+    at = {int(v): i for i, v in enumerate(before)}
+    found: dict[int, None] = {}
+    for first in np.flatnonzero(before != after).tolist():
+        chain = []
+        i = first
+        while i >= 0 and i not in found and before[i] != after[i]:
+            chain.append(i)
+            i = at.get(int(after[i]), NOBODY)
+        found.update(dict.fromkeys(reversed(chain)))
+    return list(found)
+
+
+def make_lacam(graph: Graph, motion: Motion, options: LacamOptions | None = None) -> Lacam:
+    """A LaCAM* planner for one garage.
+
+    Args:
+        graph, motion: the garage and how long moves take; all problems must be of these.
+        options: see ``LacamOptions``.
+
+    Returns:
+        The planner; call it with a problem.
+    """
+    return Lacam(Space(graph, motion), options or LacamOptions())
