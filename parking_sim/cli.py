@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from parking_sim import routes, studies
+from parking_sim import planner_check, routes, studies
 from parking_sim.errors import InputError
 from parking_sim.folders import check_folder
 from parking_sim.reproduce import app as reproduce_app
@@ -40,6 +40,7 @@ app.add_typer(reproduce_app, name="reproduce")
 
 for _study in (studies.sweep, studies.compare, studies.size, studies.tune, studies.profiles, studies.fit_profile):
     app.command()(_study)
+app.command()(planner_check.check_planner)
 app.command()(routes.route)
 app.command()(routes.turns)
 

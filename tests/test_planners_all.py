@@ -1,0 +1,112 @@
+"""What holds for every planner: those of the table, and one of a user's own."""
+
+from __future__ import annotations
+
+import inspect
+import shutil
+from pathlib import Path
+
+import pytest
+
+from controller.planners.contract import check_planner, random_problem, violations
+from controller.planners.table import PLANNERS, load_planner
+from controller.types import FOREVER, Status
+from parking_sim.cli import main
+
+OWN = Path(__file__).parents[1] / "docs" / "examples" / "own_planner.py"
+
+#: Options that keep the tests quick.
+QUICK = {"lacam": {"proposals": 100}, "cbs": {"expansions": 50}}
+#: Those that need routes drawn for the garage, that cut complete paths on purpose, or that breed for long.
+APART = {"binary_tree", "online_mapf", "ga_single", "ga_two_stage"}
+#: Those whose answer in an empty garage brings one agent to the goal on a quickest way, if asked without a window.
+QUICKEST = ("whca", "token", "pbs", "cbs")
+
+
+def maker(name):
+    return lambda graph, motion: load_planner(name, graph, motion, QUICK.get(name, {}))
+
+
+@pytest.mark.parametrize("name", [*sorted(set(PLANNERS) - APART), f"{OWN}:plan"])
+def test_every_answer_keeps_to_the_contract(name):
+    assert list(check_planner(maker(name), 40)) == []
+
+
+@pytest.mark.parametrize("number", range(0, 60, 6))  # problems of one agent
+def test_alone_all_planners_of_paths_find_one_as_quick(number):
+    problem = random_problem(number, FOREVER)
+    answers = [maker(name)(problem.graph, problem.motion)(problem) for name in QUICKEST]
+    assert len({tuple(p.arrive[-1] for p in a.paths.values()) for a in answers}) == 1
+
+
+@pytest.mark.parametrize("number", range(60))
+def test_nobody_is_cheaper_than_cbs(number):
+    problem = random_problem(number, FOREVER)
+    best = maker("cbs")(problem.graph, problem.motion)(problem)
+    for name in ("whca", "token", "pbs", "lacam"):
+        other = maker(name)(problem.graph, problem.motion)(problem)
+        if best.status is Status.SOLVED and other.status is Status.SOLVED:
+            assert cost(other) >= cost(best)
+
+
+def cost(result):
+    return sum(path.arrive[-1] for path in result.paths.values())
+
+
+def test_ones_own_planner_has_twenty_lines():
+    planner = load_planner(f"{OWN}:plan", *(getattr(random_problem(0), part) for part in ("graph", "motion")), {})
+    assert len(inspect.getsource(planner).splitlines()) <= 20
+
+
+WRONG = """
+from controller.types import Path, PlanResult, Status
+def jump(problem):
+    return PlanResult(Status.SOLVED, {a.agv: Path(a.agv, (a.vertex, a.goal), (0, 1), (0,)) for a in problem.agents})
+def nothing(problem):
+    return None
+def crash(problem):
+    return 1 / 0
+def careless(problem):
+    problem.blocked[:] = 0
+    return PlanResult(Status.PARTIAL, {}, {})
+"""
+
+
+@pytest.mark.parametrize(
+    ("function", "reason"),
+    [
+        ("jump", "which are not neighbours"),
+        ("nothing", "returns NoneType instead of PlanResult"),
+        ("crash", "raises ZeroDivisionError"),
+        ("careless", "neither a path nor named as failed"),
+    ],
+)
+def test_what_a_planner_violates_is_told(tmp_path, capsys, function, reason):
+    file = tmp_path / "wrong.py"
+    file.write_text(WRONG, encoding="utf-8")
+    with pytest.raises(SystemExit) as end:
+        main(["check-planner", f"{file}:{function}", "--problems", "10"])
+    said = capsys.readouterr().out
+    assert end.value.code == 1
+    assert reason in said
+
+
+def test_check_planner_passes_ones_own(tmp_path, capsys):
+    file = tmp_path / "mine.py"
+    shutil.copy(OWN, file)
+    with pytest.raises(SystemExit) as end:
+        main(["check-planner", f"{file}:plan", "--problems", "10"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out == f"{file}:plan: 10 of 10 answers keep to the contract\n"
+
+
+def test_a_planner_must_not_write_into_the_problem():
+    problem = random_problem(3)
+    planner = load_planner("whca", problem.graph, problem.motion, {})
+
+    def careless(p):
+        p.no_rest[:] = 1
+        return planner(p)
+
+    problem.no_rest[:] = 0
+    assert "it changes the problem's arrays" in violations(careless, problem)
