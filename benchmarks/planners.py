@@ -1,0 +1,156 @@
+"""Every planner on every garage at saturation, in SUMO: throughput, deadlocks, planning time, on paired seeds.
+
+    python benchmarks/planners.py                      reduced: two garages, 15 minutes, 2 seeds
+    python benchmarks/planners.py --full               every cell: 1 hour, 10 seeds; days of CPU, so give --workers
+    python benchmarks/planners.py --garages map3 --planners token,whca --agvs 8,32 --minutes 60 --seeds 10
+
+Mixed traffic: half the slots are taken at the start, cars arrive several times faster than any fleet could serve them
+and are asked for after a short stay, so that there is always a car to park and one to fetch. One row a run, then means
+over the seeds as a table; CSV and figure with ``--csv`` and ``--figure``. ``--workers`` is the number of processes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+from parking_sim.config import load_scenario
+from sumo_nets.read import read_net
+
+GARAGES = ("map1", "map2", "map3", "map1_thesis", "map2_thesis", "map3_thesis")
+PLANNERS = ("token", "pbs", "whca", "pibt", "lacam", "astar", "dstar_lite", "binary_tree", "cbs")
+FLEETS = (1, 2, 4, 8, 16, 32, 64)
+#: Planners that only go where they are meant for: plans grow out of hand with more AGVs.
+MOST_AGVS = {"cbs": 4}
+
+Case = tuple[str, str, int, int, float]
+
+MEASURES = (
+    "tasks_done", "deadlocks_found", "deadlocks_resolved", "deadlocks_unresolved", "sumo_collisions",
+    "footprint_overlaps", "wall_planning_step_p50_ms", "wall_planning_step_p99_ms", "planning_calls",
+)  # fmt: skip
+
+
+def traffic(minutes: float) -> dict[str, object]:
+    """More cars than can be served, both ways."""
+    return {
+        "kind": "poisson", "arrivals_share_per_h": 2.0, "dwell_median_min": 5.0, "dwell_sigma": 0.5,
+        "initial_occupancy": 0.5, "duration_min": minutes,
+    }  # fmt: skip
+
+
+def run(case: Case) -> dict[str, Any]:
+    """One run, without a folder."""
+    from parking_sim.simulation import simulate
+
+    garage, planner, agvs, seed, minutes = case
+    given = {
+        "agvs": agvs, "planner": planner, "seed": seed, "workload": traffic(minutes), "duration_s": 60 * minutes,
+    }  # fmt: skip
+    summary = simulate(load_scenario(garage, given), None)
+    row: dict[str, Any] = {"garage": garage, "planner": planner, "agvs": agvs, "seed": seed, "status": summary.status}
+    row |= {key: summary.metrics.get(key) for key in MEASURES}
+    row["tasks_per_h"] = summary.metrics["tasks_done"] * 60 / minutes
+    for p in ("p50", "p99"):
+        row[f"planning_ms_per_agv_{p}"] = summary.metrics[f"wall_planning_step_{p}_ms"] / agvs
+    return row
+
+
+def cases(given: argparse.Namespace) -> list[Case]:
+    """The runs asked for, fleets as far as the garage has homes; the biggest first."""
+    found = []
+    for garage in given.garages:
+        homes = len(read_net(garage).graph.homes)
+        fleets = sorted({min(n, homes) for n in given.agvs})
+        for planner in given.planners:
+            found += [
+                (garage, planner, n, seed, given.minutes)
+                for n in fleets
+                if n <= MOST_AGVS.get(planner, n)
+                for seed in range(1, given.seeds + 1)
+            ]
+    return sorted(found, key=lambda case: (-case[2], case))
+
+
+def rows(todo: Sequence[Case], workers: int) -> Iterator[dict[str, Any]]:
+    """Rows as they come."""
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        for future in as_completed([pool.submit(run, case) for case in todo]):
+            yield future.result()
+
+
+def means(done: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Means over the seeds; what must not happen is added up instead."""
+    cells: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
+    for row in done:
+        cells.setdefault((row["garage"], row["planner"], row["agvs"]), []).append(row)
+    table = []
+    for (garage, planner, agvs), group in sorted(cells.items()):
+        line: dict[str, Any] = {"garage": garage, "planner": planner, "agvs": agvs, "runs": len(group)}
+        for key in ("tasks_per_h", "planning_ms_per_agv_p50", "planning_ms_per_agv_p99"):
+            line[key] = round(sum(row[key] for row in group) / len(group), 3)
+        for key in ("deadlocks_found", "deadlocks_resolved", "deadlocks_unresolved", "footprint_overlaps"):
+            line[key] = sum(row[key] for row in group)
+        table.append(line)
+    return table
+
+
+def draw(table: Sequence[dict[str, Any]], path: Path) -> None:
+    """Throughput over the size of the fleet, a panel for each garage and a line for each planner."""
+    import matplotlib.pyplot as plt
+
+    garages = sorted({line["garage"] for line in table})
+    figure, panels = plt.subplots(1, len(garages), figsize=(4.5 * len(garages), 3.5), squeeze=False)
+    for axes, garage in zip(panels[0], garages, strict=True):
+        for planner in sorted({line["planner"] for line in table}):
+            mine = [line for line in table if line["garage"] == garage and line["planner"] == planner]
+            fleets, tasks = ([line[key] for line in mine] for key in ("agvs", "tasks_per_h"))
+            axes.plot(fleets, tasks, marker=".", label=planner)
+        axes.set_title(garage)
+        axes.set_xlabel("AGVs")
+        axes.set_ylabel("tasks an hour")
+        axes.set_xscale("log", base=2)
+        axes.legend()
+    figure.savefig(path, bbox_inches="tight")
+
+
+def main() -> None:
+    """Run the cells asked for, print the table, write CSV and figure."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--full", action="store_true")
+    parser.add_argument("--garages", type=lambda text: text.split(","), default=["map1", "map3_thesis"])
+    parser.add_argument("--planners", type=lambda text: text.split(","), default=["token", "pbs", "whca", "pibt"])
+    parser.add_argument("--agvs", type=lambda text: [int(n) for n in text.split(",")], default=[1, 4, 8])
+    parser.add_argument("--minutes", type=float, default=15)
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--csv", type=Path)
+    parser.add_argument("--figure", type=Path)
+    given = parser.parse_args()
+    if given.full:
+        given.garages, given.planners, given.agvs = GARAGES, PLANNERS, FLEETS
+        given.minutes, given.seeds = 60, 10
+    done = []
+    for row in rows(cases(given), given.workers):
+        done.append(row)
+        print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
+    table = means(done)
+    print("\n" + " | ".join(table[0]))
+    for line in table:
+        print(" | ".join(str(value) for value in line.values()))
+    if given.csv:
+        with given.csv.open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(done[0]))
+            writer.writeheader()
+            writer.writerows(sorted(done, key=lambda r: (r["garage"], r["planner"], r["agvs"], r["seed"])))
+    if given.figure:
+        draw(table, given.figure)
+
+
+if __name__ == "__main__":
+    main()
