@@ -118,7 +118,9 @@ class Executor:
             if path.vertices[0] != self.agvs[agv].last:
                 return Refusal("start", (agv,), path.vertices[0], "the path does not start where the authority ends")
         holding = {agv: a.last for agv, a in enumerate(self.agvs) if agv not in paths}
-        order = visiting_order(paths, holding, self.graph, self.motion)
+        agvs = self.agvs
+        in_edges = {n: agvs[n].in_edge for n, p in paths.items() if agvs[n].turned_to not in p.vertices[1:2]}
+        order = visiting_order(paths, holding, self.graph, self.motion, in_edges)
         if isinstance(order, Refusal):
             return order
         self.order = order

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import networkx as nx
 
-from controller.types import FOREVER, Motion, Path
+from controller.types import FOREVER, NEVER, Motion, Path
 from sumo_nets.graph import Graph
 
 if TYPE_CHECKING:
@@ -51,7 +51,11 @@ def malformed(agv: int, path: Path) -> str:
 
 
 def visiting_order(
-    paths: Mapping[int, Path], holding: Mapping[int, int], graph: Graph, motion: Motion
+    paths: Mapping[int, Path],
+    holding: Mapping[int, int],
+    graph: Graph,
+    motion: Motion,
+    in_edges: Mapping[int, int] | None = None,
 ) -> dict[int, deque[int]] | Refusal:
     """Order the visits of each vertex by the plan's times.
 
@@ -64,17 +68,18 @@ def visiting_order(
         holding: vertex of each AGV that has no path: it stays there, and whoever is sent through waits until a later
             plan moves it away.
         graph, motion: the garage and how long moves take.
+        in_edges: edge by which each AGV has come to where its path begins; not needed where it has turned already.
 
     Returns:
         AGV numbers by vertex in the order of their visits (without the vertices where they start), or a refusal.
     """
     visits: dict[int, list[tuple[int, int, int, int]]] = {}
     for agv, path in paths.items():
+        wrong = _undrivable(path, (in_edges or {}).get(agv, -1), graph, motion)
+        if wrong:
+            return wrong
         entered = 0
         for i, v in enumerate(path.vertices):
-            if i and (path.vertices[i - 1], v) not in graph.edge_index:
-                reason = f"no lane from {graph.names[path.vertices[i - 1]]} to {graph.names[v]}"
-                return Refusal("edge", (agv,), v, reason)
             left = path.arrive[i + 1] if i + 1 < len(path.vertices) else FOREVER
             visits.setdefault(v, []).append((entered, left, agv, i))
             if i + 1 < len(path.vertices):
@@ -93,6 +98,20 @@ def visiting_order(
         order[v] = deque(agv for _, _, agv, i in rows if i > 0)
     ring = _ring(paths, visits) if motion.following else None
     return ring or order
+
+
+def _undrivable(path: Path, in_edge: int, graph: Graph, motion: Motion) -> Refusal | None:
+    """The first move of a path that has no lane, or needs a turn that no AGV makes."""
+    for u, v in pairwise(path.vertices):
+        edge = graph.edge_index.get((u, v), -1)
+        if edge < 0:
+            return Refusal("edge", (path.agv,), v, f"no lane from {graph.names[u]} to {graph.names[v]}")
+        if motion.turn(graph, in_edge, edge, False) >= NEVER:
+            came = graph.names[graph.tail[in_edge]]
+            reason = f"no AGV can turn at {graph.names[u]}, coming from {came}, towards {graph.names[v]}"
+            return Refusal("edge", (path.agv,), v, reason)
+        in_edge = edge
+    return None
 
 
 def _ring(paths: Mapping[int, Path], visits: Mapping[int, list[tuple[int, int, int, int]]]) -> Refusal | None:

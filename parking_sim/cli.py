@@ -339,11 +339,12 @@ def _complain(message: str) -> None:
 
 def _input_errors() -> tuple[type[Exception], ...]:
     """Every package's exceptions for input; imported only when one was raised."""
+    from controller.planners.table import PlannerError
     from sumo_nets.build import NetconvertError
     from sumo_nets.layout import LayoutError
     from sumo_nets.read import NetError
 
-    return (InputError, LayoutError, NetError, NetconvertError)
+    return (InputError, PlannerError, LayoutError, NetError, NetconvertError)
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from brute_force import bodies, classic, problems, simulate
 from hypothesis import assume, given, settings
@@ -13,10 +14,12 @@ from hypothesis import strategies as st
 from late_plant import Drive, delays, walks
 
 from controller.executor import Executor
+from controller.planners.astar import make_astar
 from controller.planners.cbs import CbsLimits, cbs
+from controller.planners.dstar_lite import make_dstar_lite
 from controller.planners.token import make_token
 from controller.planners.whca import make_whca
-from controller.types import FOREVER, AgvState, Path, PlanningProblem
+from controller.types import FOREVER, AgvState, Path, PlanAgent, PlanningProblem
 from controller.visits import Refusal, retime
 from sumo_nets.graph import Graph, make_graph
 
@@ -280,3 +283,39 @@ def test_retimed_orders_say_when_everybody_arrives_if_nobody_is_late(problem):
     for agv, path in timed.items():
         assert list(path.vertices) == plant.way[agv]
         assert list(path.arrive) == plant.arrivals[agv]
+
+
+FORK = lanes({"r": (0, 0), "a": (1, 0.3), "b": (1, -0.3)}, "r-a r-b")
+
+
+def test_a_turn_that_would_fold_the_body_is_refused():
+    """From one slot straight into the one beside it; the whole plan is as before, and the way round is taken."""
+    agv, b = FORK.index["a"], FORK.index["b"]
+    executor = Executor(FORK, bodies(FORK), [agv])
+    refusal = executor.accept({0: way(FORK, 0, "arb")})
+    assert isinstance(refusal, Refusal)
+    assert (refusal.kind, refusal.agents, refusal.vertex) == ("edge", (0,), b)
+    assert refusal.reason == "no AGV can turn at r, coming from a, towards b"
+    assert executor.grants(0) == []
+    assert executor.accept({0: way(FORK, 0, "ar")}) is None
+
+
+def test_a_fold_at_the_start_of_a_path_is_refused_by_the_edge_it_came_by():
+    drive = Drive.of(FORK, bodies(FORK), [FORK.index["a"]])
+    assert drive.executor.accept({0: way(FORK, 0, "ar")}) is None
+    drive.run([])
+    refusal = drive.executor.accept({0: way(FORK, 0, "rb")})
+    assert isinstance(refusal, Refusal)
+    assert refusal.kind == "edge"
+    assert drive.executor.accept({0: way(FORK, 0, "ra")}) is None
+
+
+@pytest.mark.parametrize("make", [make_astar, make_dstar_lite])
+def test_planners_blind_to_turns_do_not_plan_a_fold(make):
+    into = FORK.edge_index[FORK.index["a"], FORK.index["r"]]
+    free = np.zeros(3, dtype=np.uint8)
+    agent = PlanAgent(0, FORK.index["r"], into, 0, FORK.index["b"], False)
+    motion = bodies(FORK)
+    result = make(FORK, motion)(PlanningProblem(FORK, motion, (agent,), (), free, free, 20))
+    assert Executor(FORK, motion, [agent.vertex]).accept(result.paths) is None
+    assert result.paths[0].vertices != (FORK.index["r"], FORK.index["b"])

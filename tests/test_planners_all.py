@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 
 from controller.planners.contract import check_planner, random_problem, violations
-from controller.planners.table import PLANNERS, load_planner
+from controller.planners.table import ENTRY_POINTS, PLANNERS, load_planner
 from controller.types import FOREVER, Status
 from parking_sim.cli import main
+from parking_sim.config import load_scenario
+from parking_sim.simulation import simulate
 
 OWN = Path(__file__).parents[1] / "docs" / "examples" / "own_planner.py"
 
@@ -55,7 +57,7 @@ def cost(result):
 
 def test_ones_own_planner_has_twenty_lines():
     planner = load_planner(f"{OWN}:plan", *(getattr(random_problem(0), part) for part in ("graph", "motion")), {})
-    assert len(inspect.getsource(planner).splitlines()) <= 20
+    assert len(inspect.getsource(planner.function).splitlines()) <= 20
 
 
 WRONG = """
@@ -66,6 +68,8 @@ def nothing(problem):
     return None
 def crash(problem):
     return 1 / 0
+def words(problem):
+    return PlanResult(Status.SOLVED, {a.agv: "north" for a in problem.agents})
 def careless(problem):
     problem.blocked[:] = 0
     return PlanResult(Status.PARTIAL, {}, {})
@@ -89,6 +93,46 @@ def test_what_a_planner_violates_is_told(tmp_path, capsys, function, reason):
     said = capsys.readouterr().out
     assert end.value.code == 1
     assert reason in said
+
+
+@pytest.mark.parametrize(
+    ("function", "reason"),
+    [
+        ("nothing", "returns NoneType instead of PlanResult"),
+        ("crash", "raises ZeroDivisionError: division by zero (wrong.py, line 8)"),
+        ("words", "returns str instead of Path for AGV 0"),
+    ],
+)
+def test_a_planner_that_fails_ends_a_run_with_one_line(tmp_path, capsys, function, reason):
+    file = tmp_path / "wrong.py"
+    file.write_text(WRONG, encoding="utf-8")
+    arguments = ["run", "map1_thesis", "--plant", "discrete", "--agvs", "1", "--out", str(tmp_path / "run")]
+    with pytest.raises(SystemExit) as end:
+        main([*arguments, "--planner", f"{file}:{function}"])
+    said = capsys.readouterr()
+    assert (end.value.code, said.out) == (2, "")
+    assert said.err == f"error: {file}:{function} {reason}\n"
+
+
+SMALL = "garage: map1\nagvs: 2\nplant: discrete\nworkload: {kind: park_exit, cars: 3}\n"
+
+
+def test_ones_own_planner_runs_a_garage(tmp_path):
+    (tmp_path / "small.yaml").write_text(SMALL, encoding="utf-8")
+    summary = simulate(load_scenario(str(tmp_path / "small.yaml"), {"planner": f"{OWN}:plan"}), None)
+    assert (summary.status, summary.metrics["tasks_done"]) == ("finished", 6)
+
+
+def test_a_package_offers_a_planner_by_an_entry_point(tmp_path, monkeypatch):
+    info = tmp_path / "mine-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text(f"[{ENTRY_POINTS}]\nprudent = mine_planner:plan\n", encoding="utf-8")
+    shutil.copy(OWN, tmp_path / "mine_planner.py")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    problem = random_problem(1)
+    planner = load_planner("prudent", problem.graph, problem.motion, {})
+    assert violations(planner, problem) == []
 
 
 def test_check_planner_passes_ones_own(tmp_path, capsys):

@@ -43,7 +43,7 @@ class AStar:
         lanes, loaded = self._space.lanes, int(agent.loaded)
         steps, rate = lanes.edge_steps[loaded], float(self._space.rates[loaded, 0])
         _search(agent.vertex, agent.goal, closed, steps, rate, lanes, self._g, self._heap, self.counters)
-        return int(best_edge(agent.vertex, agent.goal, self._g, closed, steps, self._ranked, lanes))
+        return int(best_edge(agent.vertex, agent.in_edge, agent.goal, self._g, closed, steps, self._ranked, lanes))
 
 
 @njit(cache=True)

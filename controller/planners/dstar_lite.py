@@ -85,7 +85,7 @@ class DStarLite:
         _change(agent.vertex, wanted, steps, rate, lanes, memory, self.counters)
         _compute_shortest_path(agent.vertex, steps, rate, lanes, memory, self.counters)
         cost = int(memory.rhs[agent.vertex])
-        edge = best_edge(agent.vertex, agent.goal, memory.g, memory.closed, steps, self._ranked, lanes)
+        edge = best_edge(agent.vertex, agent.in_edge, agent.goal, memory.g, memory.closed, steps, self._ranked, lanes)
         _change(agent.vertex, base, steps, rate, lanes, memory, self.counters)
         return int(edge), cost
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from controller.search.heap import Counts
 from controller.search.space import Lanes, Space
-from controller.types import FOREVER, Counters, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from controller.types import FOREVER, NEVER, Counters, Path, PlanAgent, PlanningProblem, PlanResult, Status
 from sumo_nets.graph import FloatArray, IntArray
 
 #: Instead of an edge: no move.
@@ -129,14 +129,20 @@ def estimate(u: int, v: int, xy: FloatArray, rate: float) -> int:
 
 @njit(cache=True)
 def best_edge(
-    start: int, goal: int, g: IntArray, closed: NDArray[np.uint8], steps: IntArray, ranked: IntArray, lanes: Lanes
-) -> int:
-    """The edge to the neighbour of least cost + g, then least Manhattan distance to the goal, then first in order."""
+    start: int, in_edge: int, goal: int, g: IntArray, closed: NDArray[np.uint8], steps: IntArray, ranked: IntArray,
+    lanes: Lanes,
+) -> int:  # fmt: skip
+    """The edge to the neighbour of least cost + g, then least Manhattan distance to the goal, then first in order.
+
+    Turns cost nothing here, but edges that no AGV can turn to from ``in_edge`` (-1: none) are left out.
+    """
     best, best_cost, best_far = STAY, FOREVER, 0.0
     for i in range(lanes.first_out[start], lanes.first_out[start + 1]):
         e = ranked[i]
         v = lanes.head[e]
         if closed[v] or g[v] >= FOREVER:
+            continue
+        if in_edge >= 0 and lanes.turn_steps[0, lanes.first_transition[in_edge] + e - lanes.first_out[start]] >= NEVER:
             continue
         cost = steps[e] + g[v]
         far = abs(lanes.xy[v, 0] - lanes.xy[goal, 0]) + abs(lanes.xy[v, 1] - lanes.xy[goal, 1])

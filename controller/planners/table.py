@@ -5,12 +5,18 @@ from __future__ import annotations
 import importlib
 import importlib.util
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
+from importlib.metadata import entry_points
 from pathlib import Path
+from traceback import extract_tb
 from typing import Any
 
-from controller.types import Motion, Planner
+from controller.types import Motion, Planner, PlanningProblem, PlanResult
+from controller.types import Path as AgvPath
 from sumo_nets.graph import Graph
+
+#: Installed packages offer planners of their own as entry points of this group.
+ENTRY_POINTS = "parking_sim.planners"
 
 #: Name -> (module, factory, dataclass of its options or "").
 PLANNERS: dict[str, tuple[str, str, str]] = {
@@ -29,12 +35,58 @@ PLANNERS: dict[str, tuple[str, str, str]] = {
 }
 
 
+class PlannerError(ValueError):
+    """A planner of a user's own fails. The message is one line: the planner, its error and where it was raised."""
+
+
+@dataclass(frozen=True, slots=True)
+class OwnPlanner:
+    """A planner of a user's own; what it does wrong is told as ``PlannerError``.
+
+    Attributes:
+        name: as it was asked for.
+        function: from ``PlanningProblem`` to ``PlanResult``.
+    """
+
+    name: str
+    function: Planner
+
+    @property
+    def complete(self) -> bool:
+        """It plans complete paths, see ``Token``."""
+        return bool(getattr(self.function, "complete", False))
+
+    @property
+    def one_move(self) -> bool:
+        """It plans one move, see ``OneStep``."""
+        return bool(getattr(self.function, "one_move", False))
+
+    def __call__(self, problem: PlanningProblem) -> PlanResult:
+        """Have it plan.
+
+        Raises:
+            PlannerError: it raises, or what it returns is no plan.
+        """
+        try:
+            result: object = self.function(problem)
+        except Exception as error:
+            where = extract_tb(error.__traceback__)[-1]
+            place = f"{Path(where.filename).name}, line {where.lineno}"
+            raise PlannerError(f"{self.name} raises {type(error).__name__}: {error} ({place})") from error
+        if not isinstance(result, PlanResult):
+            raise PlannerError(f"{self.name} returns {type(result).__name__} instead of PlanResult")
+        for agv, path in result.paths.items():
+            if not isinstance(path, AgvPath):
+                raise PlannerError(f"{self.name} returns {type(path).__name__} instead of Path for AGV {agv}")
+        return result
+
+
 def load_planner(name: str, graph: Graph, motion: Motion, options: Mapping[str, object]) -> Planner:
     """Make a planner for a garage.
 
     Args:
-        name: a name of ``PLANNERS``, or ``file.py:function`` for one of your own: a function from
-            ``PlanningProblem`` to ``PlanResult``.
+        name: a name of ``PLANNERS``, ``file.py:function`` for one of your own (a function from ``PlanningProblem``
+            to ``PlanResult``), or the name under which an installed package offers such a function.
         graph, motion: the garage and how long moves take.
         options: options of the planner by name.
 
@@ -47,6 +99,8 @@ def load_planner(name: str, graph: Graph, motion: Motion, options: Mapping[str, 
     if ":" in name:
         return _own(name)
     if name not in PLANNERS:
+        for entry in entry_points(group=ENTRY_POINTS, name=name):
+            return OwnPlanner(name, entry.load())
         raise ValueError(f"{name!r}: no such planner; give one of {', '.join(PLANNERS)}, or file.py:function")
     module_name, factory, options_name = PLANNERS[name]
     module = importlib.import_module(module_name)
@@ -79,5 +133,4 @@ def _own(name: str) -> Planner:
         raise ValueError(f"{name!r}: {path} can't be imported: {type(error).__name__}: {error}") from None
     if not callable(getattr(module, function, None)):
         raise ValueError(f"{name!r}: {path} has no function {function}")
-    planner: Planner = getattr(module, function)
-    return planner
+    return OwnPlanner(name, getattr(module, function))
