@@ -7,18 +7,22 @@ out. ``retime`` gives orders a clock again: when each AGV will be where, if noth
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import TYPE_CHECKING
+from itertools import chain
+from typing import TYPE_CHECKING, NamedTuple
 
-import networkx as nx
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 from controller.types import FOREVER, NEVER, Motion, Path
-from sumo_nets.graph import Graph
+from sumo_nets.graph import Graph, IntArray
 
 if TYPE_CHECKING:
     from controller.executor import Executor
+
+Longs = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +54,33 @@ def malformed(agv: int, path: Path) -> str:
     return ""
 
 
+class _Floor(NamedTuple):
+    """What the kernels read of a graph and its durations, as in ``search.space.Lanes``."""
+
+    head: IntArray
+    first_out: IntArray
+    edge_steps: IntArray
+    turn_steps: IntArray
+    first_transition: IntArray
+
+
+class _Rows(NamedTuple):
+    """All visits of a plan, path after path, then of those that hold their place.
+
+    Attributes:
+        vertex: where.
+        agv: whose visit.
+        entered, left: it is there from when until when; the end of a path is left ``FOREVER``.
+        ends: until when nobody else may come: ``Path.until`` instead of ``FOREVER``.
+    """
+
+    vertex: Longs
+    agv: Longs
+    entered: Longs
+    left: Longs
+    ends: Longs
+
+
 def visiting_order(
     paths: Mapping[int, Path],
     holding: Mapping[int, int],
@@ -73,61 +104,141 @@ def visiting_order(
     Returns:
         AGV numbers by vertex in the order of their visits (without the vertices where they start), or a refusal.
     """
-    visits: dict[int, list[tuple[int, int, int, int]]] = {}
-    for agv, path in paths.items():
-        wrong = _undrivable(path, (in_edges or {}).get(agv, -1), graph, motion)
-        if wrong:
-            return wrong
-        entered = 0
-        for i, v in enumerate(path.vertices):
-            left = path.arrive[i + 1] if i + 1 < len(path.vertices) else FOREVER
-            visits.setdefault(v, []).append((entered, left, agv, i))
-            if i + 1 < len(path.vertices):
-                entered = path.arrive[i + 1] if motion.following else path.depart[i]
-    for agv, v in holding.items():
-        visits.setdefault(v, []).append((0, 0, agv, 0))
-    order: dict[int, deque[int]] = {}
-    for v, rows in visits.items():
-        rows.sort()
-        for a, b in pairwise(rows):
-            # the end of a windowed path is not a rest: whoever comes later waits until the next plan moves it away
-            ends = paths[a[2]].until if a[2] in paths and a[3] + 1 == len(paths[a[2]].vertices) else a[1]
-            if b[0] < ends and a[2] != b[2]:
-                reason = f"AGVs {a[2]} and {b[2]} both plan to be on {graph.names[v]} at step {b[0]}"
-                return Refusal("conflict", (a[2], b[2]), v, reason)
-        order[v] = deque(agv for _, _, agv, i in rows if i > 0)
-    ring = _ring(paths, visits) if motion.following else None
-    return ring or order
+    first = _starts(len(path.vertices) for path in paths.values())
+    vertices = _longs(path.vertices for path in paths.values())
+    came = np.array([(in_edges or {}).get(agv, -1) for agv in paths], dtype=np.int64)
+    k = _undrivable(vertices, first, came, _floor(graph, motion))
+    if k >= 0:
+        return _no_move(list(paths.values())[int(np.searchsorted(first, k, side="right")) - 1], vertices, k, graph)
+    rows = _rows(paths, holding, vertices, first, motion.following)
+    in_order = np.lexsort((rows.agv, rows.left, rows.entered, rows.vertex))
+    vertex, agv, entered, left, ends = (column[in_order] for column in rows)
+    others = (vertex[1:] == vertex[:-1]) & (agv[1:] != agv[:-1])
+    meet = np.flatnonzero(others & (entered[1:] < ends[:-1]))
+    if len(meet):
+        k = int(meet[0])
+        a, b, v = int(agv[k]), int(agv[k + 1]), int(vertex[k])
+        reason = f"AGVs {a} and {b} both plan to be on {graph.names[v]} at step {entered[k + 1]}"
+        return Refusal("conflict", (a, b), v, reason)
+    if motion.following:
+        at_once = np.flatnonzero(others & (left[:-1] == entered[1:]))
+        ring = _ring(in_order[at_once], in_order[at_once + 1], rows, len(vertices))
+        if ring:
+            return ring
+    moves = np.ones(len(vertex), dtype=bool)
+    moves[np.isin(in_order, [*first[:-1], *range(len(vertices), len(rows.vertex))])] = False
+    return _queues(vertex[moves], agv[moves])
 
 
-def _undrivable(path: Path, in_edge: int, graph: Graph, motion: Motion) -> Refusal | None:
-    """The first move of a path that has no lane, or needs a turn that no AGV makes."""
-    for u, v in pairwise(path.vertices):
-        edge = graph.edge_index.get((u, v), -1)
-        if edge < 0:
-            return Refusal("edge", (path.agv,), v, f"no lane from {graph.names[u]} to {graph.names[v]}")
-        if motion.turn(graph, in_edge, edge, False) >= NEVER:
-            came = graph.names[graph.tail[in_edge]]
-            reason = f"no AGV can turn at {graph.names[u]}, coming from {came}, towards {graph.names[v]}"
-            return Refusal("edge", (path.agv,), v, reason)
-        in_edge = edge
-    return None
+def _starts(sizes: Iterable[int]) -> Longs:
+    return np.cumsum([0, *sizes])
 
 
-def _ring(paths: Mapping[int, Path], visits: Mapping[int, list[tuple[int, int, int, int]]]) -> Refusal | None:
-    """A ring of AGVs that would all move on in one step, each into the vertex the next one leaves (or a swap)."""
-    g: nx.DiGraph[tuple[int, int]] = nx.DiGraph()
-    for v, rows in visits.items():
-        for a, b in pairwise(rows):
-            if a[2] != b[2] and a[1] == b[0] and a[2] in paths:
-                # b's arrival at v needs a's arrival at its next vertex, in the same step
-                g.add_edge((a[2], a[3] + 1), (b[2], b[3]), vertex=v)
-    for group in nx.strongly_connected_components(g):
-        if len(group) > 1:
-            members = tuple(sorted({agv for agv, _ in group}))
-            agv, i = min(group)
-            return Refusal("cycle", members, paths[agv].vertices[i], f"AGVs {members} would have to move on in a ring")
-    return None
+def _longs(parts: Iterable[Collection[int]]) -> Longs:
+    return np.fromiter(chain.from_iterable(parts), dtype=np.int64)
+
+
+def _floor(graph: Graph, motion: Motion) -> _Floor:
+    arrays = (graph.head, graph.first_out, motion.edge_steps, motion.turn_steps, motion.first_transition)
+    return _Floor(*(np.ascontiguousarray(array, dtype=np.int32) for array in arrays))
+
+
+@njit(cache=True)
+def _edge(u: int, v: int, floor: _Floor) -> int:
+    """The edge from one vertex to the next, -1 if there is none."""
+    for e in range(floor.first_out[u], floor.first_out[u + 1]):
+        if floor.head[e] == v:
+            return e
+    return -1
+
+
+@njit(cache=True)
+def _undrivable(vertices: Longs, first: Longs, in_edges: Longs, floor: _Floor) -> int:
+    """Number of the first vertex that has no lane from the one before, or needs a turn that no AGV makes; -1: none."""
+    for p in range(len(in_edges)):
+        came = in_edges[p]
+        for k in range(first[p] + 1, first[p + 1]):
+            u = vertices[k - 1]
+            e = _edge(u, vertices[k], floor)
+            if e < 0:
+                return k
+            if came >= 0 and floor.turn_steps[0, floor.first_transition[came] + e - floor.first_out[u]] >= NEVER:
+                return k
+            came = e
+    return -1
+
+
+def _no_move(path: Path, vertices: Longs, k: int, graph: Graph) -> Refusal:
+    """Why the move to the ``k``-th vertex can't be driven."""
+    u, v = int(vertices[k - 1]), int(vertices[k])
+    to = graph.names[v] if 0 <= v < len(graph.names) else f"vertex {v}"
+    reason = f"no lane from {graph.names[u]} to {to}"
+    if (u, v) in graph.edge_index:
+        reason = f"no AGV can turn at {graph.names[u]}, as it comes, towards {to}"
+    return Refusal("edge", (path.agv,), v, reason)
+
+
+def _rows(
+    paths: Mapping[int, Path], holding: Mapping[int, int], vertices: Longs, first: Longs, following: bool
+) -> _Rows:
+    """The visits of a plan."""
+    start, last = first[:-1], first[1:] - 1
+    arrive = _longs(path.arrive for path in paths.values())
+    ends = np.roll(arrive, -1)
+    left = ends.copy()
+    left[last] = FOREVER
+    ends[last] = [path.until for path in paths.values()]
+    departures = _longs((*path.depart, 0) for path in paths.values())
+    entered = arrive if following else np.roll(departures, 1)
+    entered[start] = 0
+    agv = np.repeat(np.array(list(paths), dtype=np.int64), np.diff(first))
+    nothing = np.zeros(len(holding), dtype=np.int64)
+    stays = (_longs([holding.values()]), _longs([holding]), nothing, nothing, nothing)
+    moving = (vertices, agv, entered, left, ends)
+    return _Rows(*(np.concatenate(parts) for parts in zip(moving, stays, strict=True)))
+
+
+def _ring(before: Longs, after: Longs, rows: _Rows, moving: int) -> Refusal | None:
+    """A ring of AGVs that would all move on in one step, each into the vertex the next one leaves (or a swap).
+
+    Args:
+        before, after: numbers of visits; the second enters in the very step in which the first leaves.
+        rows: the visits.
+        moving: visits from this number on are of AGVs that hold their place.
+    """
+    needed = np.full(moving + 1, -1, dtype=np.int64)  # whose arrival depends on this one's
+    needed[before[before < moving] + 1] = after[before < moving]
+    k = _on_ring(needed)
+    if k < 0:
+        return None
+    ring = [k]
+    while needed[ring[-1]] != k:
+        ring.append(int(needed[ring[-1]]))
+    members = tuple(sorted({int(rows.agv[i]) for i in ring}))
+    vertex = int(rows.vertex[min(ring, key=lambda i: (rows.agv[i], i))])
+    return Refusal("cycle", members, vertex, f"AGVs {members} would have to move on in a ring")
+
+
+@njit(cache=True)
+def _on_ring(following: Longs) -> int:
+    """Any number that one comes back to by going on from number to number; -1 if there is none."""
+    seen = np.zeros(len(following), dtype=np.int64)
+    for root in range(len(following)):
+        k = root
+        while k >= 0 and seen[k] == 0:
+            seen[k] = root + 1
+            k = following[k]
+        if k >= 0 and seen[k] == root + 1 and following[k] >= 0:
+            return int(k)
+    return -1
+
+
+def _queues(vertex: Longs, agv: Longs) -> dict[int, deque[int]]:
+    """AGVs by vertex; both sorted by vertex."""
+    agvs = agv.tolist()
+    starts = np.flatnonzero(np.diff(vertex, prepend=-1)).tolist()
+    ends = [*starts[1:], len(agvs)][: len(starts)]
+    return {v: deque(agvs[a:b]) for v, a, b in zip(vertex[starts].tolist(), starts, ends, strict=True)}
 
 
 def retime(executor: Executor, step: int) -> dict[int, Path]:
@@ -141,49 +252,72 @@ def retime(executor: Executor, step: int) -> dict[int, Path]:
         A path for every AGV, from the end of its authority along its pending vertices. An AGV whose way is closed by
         one that has no plan to leave is cut there.
     """
-    graph, motion, agvs = executor.graph, executor.motion, executor.agvs
-    position = dict.fromkeys(executor.order, 0)
-    free_at: dict[int, int] = {}
+    agvs, n = executor.agvs, len(executor.graph.names)
+    clock = np.array([executor.ready_step(agv, step) for agv in range(len(agvs))], dtype=np.int64)
+    free_at = np.zeros(n, dtype=np.int64)
     for agv, a in enumerate(agvs):
-        ready = executor.ready_step(agv, step)
-        for v in list(a.trail)[:-1]:
-            free_at[v] = ready
-    occupant = {a.last: agv for agv, a in enumerate(agvs)}
-    free_at.update(dict.fromkeys(occupant, FOREVER))
-    rows: list[tuple[list[int], list[int], list[int]]] = [([a.last], [0], []) for a in agvs]
-    clock = [executor.ready_step(agv, step) for agv in range(len(agvs))]
-    in_edge = [a.in_edge for a in agvs]
-    done = [0] * len(agvs)
-    stack = list(range(len(agvs)))
-    while stack:
-        agv = stack.pop()
-        vertices, arrive, depart = rows[agv]
-        pending = agvs[agv].pending
-        loaded = agvs[agv].loaded
-        while done[agv] < len(pending):
-            w = pending[done[agv]]
-            here = vertices[-1]
-            mine = executor.order[w][position[w]] == agv
-            free = 0 if w == here else free_at.get(w, 0)
-            if not mine or (free == FOREVER and occupant[w] != agv):
+        if len(a.trail) > 1:
+            free_at[list(a.trail)[:-1]] = clock[agv]
+    here = np.array([a.last for a in agvs], dtype=np.int64)
+    free_at[here] = FOREVER
+    now = np.array([(a.in_edge, a.turned_to, a.loaded) for a in agvs], dtype=np.int64).reshape(-1, 3)
+    first = _starts(len(a.pending) for a in agvs)
+    way = _longs(a.pending for a in agvs)
+    queues = _starts(len(queue) for queue in executor.order.values())
+    turn = np.zeros((n, 2), dtype=np.int64)  # of each vertex's queue: next one in turn, and end
+    turn[list(executor.order)] = np.column_stack((queues[:-1], queues[1:]))
+    queue = _longs(executor.order.values())
+    arrive, depart, done = _drive(
+        way, first, here, now, clock, free_at, turn, queue, executor.motion.following,
+        _floor(executor.graph, executor.motion),
+    )  # fmt: skip
+    v, t, d = way.tolist(), arrive.tolist(), depart.tolist()
+    return {
+        agv: Path(agv, (a.last, *v[i:j]), (0, *t[i:j]), tuple(d[i:j]))
+        for agv, (a, i, j) in enumerate(zip(agvs, first[:-1].tolist(), (first[:-1] + done).tolist(), strict=True))
+    }
+
+
+@njit(cache=True)
+def _drive(
+    way: Longs, first: Longs, here: Longs, now: Longs, clock: Longs, free_at: Longs, turn: Longs, queue: Longs,
+    following: bool, floor: _Floor,
+) -> tuple[Longs, Longs, Longs]:  # fmt: skip
+    """Drive everybody as far as the orders allow: arrivals and departures on ``way``, and how many of each."""
+    arrive, depart = np.zeros(len(way), dtype=np.int64), np.zeros(len(way), dtype=np.int64)
+    done = np.zeros(len(here), dtype=np.int64)
+    occupant = np.full(len(free_at), -1, dtype=np.int64)
+    occupant[here] = np.arange(len(here))
+    stack = np.empty(len(here) + len(way), dtype=np.int64)
+    stack[: len(here)] = np.arange(len(here))
+    size = len(here)
+    while size > 0:
+        size -= 1
+        i = stack[size]
+        in_edge, turned_to, loaded = now[i, 0], now[i, 1], now[i, 2]
+        while first[i] + done[i] < first[i + 1]:
+            k = first[i] + done[i]
+            u, w = here[i], way[k]
+            mine = turn[w, 0] < turn[w, 1] and queue[turn[w, 0]] == i
+            if not mine or (free_at[w] == FOREVER and occupant[w] != i):
                 break
-            edge = graph.edge_index[here, w]
-            has_turned = done[agv] == 0 and agvs[agv].turned_to == w
-            turned = 0 if has_turned else motion.turn(graph, in_edge[agv], edge, loaded)
-            drive = int(motion.edge_steps[int(loaded), edge])
-            free = 0 if free == FOREVER else free
-            leave = max(clock[agv] + turned, free - drive if motion.following else free)
-            depart.append(leave)
-            arrive.append(leave + drive)
-            vertices.append(w)
-            clock[agv] = leave + drive
-            in_edge[agv] = edge
-            position[w] += 1
-            done[agv] += 1
-            free_at[w], occupant[w] = FOREVER, agv
-            if here != w:
-                free_at[here] = clock[agv]
-                waiting = executor.order.get(here)
-                if waiting and position[here] < len(waiting):
-                    stack.append(waiting[position[here]])
-    return {agv: Path(agv, tuple(v), tuple(a), tuple(d)) for agv, (v, a, d) in enumerate(rows)}
+            free = free_at[w] if occupant[w] != i else 0
+            edge = _edge(u, w, floor)
+            leave = clock[i]
+            if in_edge >= 0 and not (done[i] == 0 and turned_to == w):
+                leave += floor.turn_steps[loaded, floor.first_transition[in_edge] + edge - floor.first_out[u]]
+            drive = floor.edge_steps[loaded, edge]
+            leave = max(leave, free - drive if following else free)
+            depart[k], arrive[k] = leave, leave + drive
+            clock[i] = leave + drive
+            in_edge = edge
+            now[i, 0] = edge
+            here[i] = w
+            turn[w, 0] += 1
+            done[i] += 1
+            free_at[w], occupant[w] = FOREVER, i
+            free_at[u], occupant[u] = clock[i], -1
+            if turn[u, 0] < turn[u, 1]:
+                stack[size] = queue[turn[u, 0]]
+                size += 1
+    return arrive, depart, done

@@ -295,7 +295,7 @@ def test_a_turn_that_would_fold_the_body_is_refused():
     refusal = executor.accept({0: way(FORK, 0, "arb")})
     assert isinstance(refusal, Refusal)
     assert (refusal.kind, refusal.agents, refusal.vertex) == ("edge", (0,), b)
-    assert refusal.reason == "no AGV can turn at r, coming from a, towards b"
+    assert refusal.reason == "no AGV can turn at r, as it comes, towards b"
     assert executor.grants(0) == []
     assert executor.accept({0: way(FORK, 0, "ar")}) is None
 

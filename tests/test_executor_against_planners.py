@@ -101,7 +101,7 @@ def test_whatever_a_planner_returns_nobody_meets(tmp_path, wrong, plant, planner
 def broken_executor(monkeypatch: pytest.MonkeyPatch) -> None:
     """An executor that takes every plan and grants every vertex, whoever is there."""
 
-    def unchecked(paths, holding, graph, motion):
+    def unchecked(paths, *_):
         order: dict[int, deque[int]] = {}
         for agv, path in paths.items():
             for v in path.vertices[1:]:
