@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import json
 import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -36,6 +37,8 @@ from sumo_nets.movingai import grid_graph, read_map
 FLEETS = {"warehouse": (10, 50, 100, 200), "garage": (4, 8, 16, 32, 64)}
 #: Window in ticks, replanning period, and ticks without coming nearer to the goal that count as stuck. Agents of PIBT
 #: go out of their way for long.
+#: Options of the planners unless ``--options`` names others.
+OPTIONS: dict[str, dict[str, object]] = {"token": {"through_slots": True}}
 SETTINGS = {"pbs": (40, 5, 20), "whca": (40, 5, 20), "pibt": (5, 1, 100)}
 
 
@@ -74,6 +77,11 @@ class Timed:
         """As the planner says."""
         return bool(getattr(self.planner, "complete", False))
 
+    @property
+    def improves(self) -> bool:
+        """As the planner says."""
+        return bool(getattr(self.planner, "improves", False))
+
     def __call__(self, problem: PlanningProblem) -> PlanResult:
         """Plan, and count the time."""
         start = process_time()
@@ -87,7 +95,7 @@ class Lifelong:
 
     Attributes:
         done: tasks done so far.
-        ideal: steps that all tasks given so far take without conflicts.
+        trips: start and goal of all tasks given so far.
         quiet: longest time without a task done.
     """
 
@@ -109,7 +117,7 @@ class Lifelong:
         self.rest = np.zeros(len(graph.names), dtype=np.uint8)
         self.count = [0] * agents
         self.done, self.quiet, self._last = 0, 0, 0
-        self.assigned, self.ideal = 0, 0
+        self.trips: list[tuple[int, int]] = []
         for agv in self.agvs:
             self._new_goal(agv)
 
@@ -118,6 +126,10 @@ class Lifelong:
         for step in range(ticks):
             self._tick(step)
         self.quiet = max(self.quiet, ticks - self._last)
+
+    def alone(self) -> int:
+        """Steps that all tasks given so far take without conflicts."""
+        return sum(int(self.costs.to(goal)[start]) for start, goal in self.trips)
 
     def _tick(self, step: int) -> None:
         self.executor.update([AgvState(n, c, c, True) for n, c in enumerate(self.count)], step)
@@ -135,8 +147,7 @@ class Lifelong:
     def _new_goal(self, agv: Agv) -> None:
         taken = {v for other in self.agvs for v in (other.goal, self.executor.agvs[other.number].last)}
         agv.goal = self.rng.choice([v for v in self.points if v not in taken])
-        self.ideal += int(self.costs.to(agv.goal)[self.executor.agvs[agv.number].last])
-        self.assigned += 1
+        self.trips.append((self.executor.agvs[agv.number].last, agv.goal))
         self.planning.goal_changed()
 
     def _log(self, kind: str, agv: int, car: str, vertex: int, detail: dict[str, object]) -> None:
@@ -182,7 +193,7 @@ def measure(
     return {
         "map": graph.name, "agents": agents, "planner": planner,
         "tasks_per_tick": round(sum(run.done for run in runs) / total, 4),
-        "ideal": round(agents * sum(run.assigned for run in runs) / sum(run.ideal for run in runs), 4),
+        "ideal": round(agents * sum(len(run.trips) for run in runs) / sum(run.alone() for run in runs), 4),
         "planning_ms": round(1000 * sum(run.timed.spent_s for run in runs) / total, 3),
         "control_ms": round(1000 * spent / total, 3),
         "deadlocks": found,
@@ -198,9 +209,10 @@ def rows(given: argparse.Namespace) -> Iterator[dict[str, object]]:
         graph = MAPS[name]() if name in MAPS else read_map(Path(name))
         fleets: Sequence[int] = [int(n) for n in given.agents.split(",")] if given.agents else FLEETS[name]
         for planner in given.planner.split(","):
-            measure(graph, 2, planner, 1, 20, {})
+            options = OPTIONS.get(planner, {}) | given.options
+            measure(graph, 2, planner, 1, 20, options)
             for agents in fleets:
-                yield measure(graph, agents, planner, given.seeds, given.ticks, {})
+                yield measure(graph, agents, planner, given.seeds, given.ticks, options)
 
 
 def main() -> None:
@@ -211,6 +223,7 @@ def main() -> None:
     parser.add_argument("--agents", default="")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--ticks", type=int, default=1000)
+    parser.add_argument("--options", type=json.loads, default={}, help="of the planner, as JSON")
     parser.add_argument("--csv", type=Path)
     given = parser.parse_args()
     done = []

@@ -9,8 +9,8 @@ Guarantee: in a well-formed garage (slots, bays, homes and chargers are end poin
 is a way that passes no other) no deadlock can arise, since every accepted set of paths can be carried out to its end.
 Limits: not optimal; an agent's path never makes another one give way.
 
-Departures from the paper: AGVs have priorities and are planned in that order. Slots are end points even where they are
-empty and a way leads through them, which keeps a garage well-formed and its distances the same while it fills.
+Departures from the paper: AGVs have priorities and are planned in that order. Unless ``through_slots`` is set no path
+leads through a slot, even where it is empty, which keeps distances the same while a garage fills.
 """
 
 from __future__ import annotations
@@ -36,11 +36,13 @@ class TokenOptions:
         passes: how often agents without a path are tried in one call.
         improvements: neighbourhoods of late agents planned again in one call, at most; see ``lns``.
         late_moves: who is later than driving alone by more than so many moves is late.
+        through_slots: paths may lead through slots that nobody rests in, has parked in or heads for.
     """
 
     passes: int = 2
     improvements: int = 0
     late_moves: int = 2
+    through_slots: bool = False
 
 
 class Token:
@@ -59,7 +61,8 @@ class Token:
         self.improves = options.improvements > 0
         self._threshold = options.late_moves * int(np.median(space.lanes.edge_steps))
         self._slots = np.zeros(len(space.graph.names), dtype=np.uint8)
-        self._slots[list(space.graph.slots)] = 1
+        if not options.through_slots:
+            self._slots[list(space.graph.slots)] = 1
         self.distances = Distances(space, ends=self._slots)
         self.table = ReservationTable(len(space.graph.names), space.motion.following)
         self._search = PathSearch(self.distances)
