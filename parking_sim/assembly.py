@@ -65,9 +65,10 @@ class World:
         return SumoPlant(self.net, self.homes, agv_type(s.agv), s.seed, s.step_s, gui, outputs, fcd)
 
     def with_faults(self, plant: BreakablePlant) -> Plant:
-        """The plant with the scenario's faults; itself if there are none."""
-        faults = self.scenario.faults
-        return FaultyPlant(plant, faults, self.homes, self.scenario.seed) if faults.any else plant
+        """The plant with the scenario's faults; in SUMO at least batteries that run flat."""
+        s = self.scenario
+        can_fail = s.faults.any or s.plant == "sumo"
+        return FaultyPlant(plant, s.faults, self.homes, s.seed) if can_fail else plant
 
     def garage(self) -> Garage:
         """Empty books, then the cars that are there at the start."""

@@ -12,6 +12,8 @@ RUN_FILE = "run.json"
 #: A folder that holds this one holds a run that has not ended, see ``parking_sim.journal``.
 JOURNAL = "journal.jsonl"
 
+#: What SUMO makes of these in the name of a file.
+_SUMO_READS = {",": "a comma as the end of a path", "%": "a per cent sign as the code of a character"}
 _SUFFIXES = {".parquet", ".json", ".jsonl", ".html", ".xml", ".gz", ".sumocfg", ".yaml", ".svg", ".png"}
 
 
@@ -23,8 +25,10 @@ def check_folder(folder: Path, force: bool) -> None:
         force: an earlier run there may be replaced.
 
     Raises:
-        InputError: it can't be written, holds an earlier run and ``force`` is not set, or holds something else.
+        InputError: it can't be written, holds an earlier run and ``force`` is not set, or holds something else; or SUMO
+            can't name it.
     """
+    check_path(folder)
     try:
         if folder.is_dir() and any(folder.iterdir()):
             if (folder / JOURNAL).is_file() and not (folder / RUN_FILE).is_file():
@@ -42,6 +46,16 @@ def check_folder(folder: Path, force: bool) -> None:
         _try_writing(folder)
     except OSError as error:
         raise InputError(f"--out: {folder}: can't be written: {error.strerror}") from None
+
+
+def check_path(folder: Path) -> None:
+    """Make sure that SUMO understands the name of a folder.
+
+    Raises:
+        InputError: it doesn't.
+    """
+    if found := next((c for c in str(folder.resolve()) if c in _SUMO_READS), None):
+        raise InputError(f"--out: {folder}: SUMO reads {_SUMO_READS[found]}; give a folder without one")
 
 
 def clear_run(folder: Path) -> None:

@@ -20,6 +20,7 @@ from time import perf_counter
 
 from parking_sim.config import Scenario
 from parking_sim.errors import InputError
+from parking_sim.folders import check_path
 from parking_sim.sweep_plan import RunSpec, code_version
 
 SWEEP_FILE, FAILURES_FILE, RUNS_FOLDER = "sweep.json", "failures.json", "runs"
@@ -92,8 +93,7 @@ def open_folder(folder: Path) -> None:
     Raises:
         InputError: it holds something else or can't be written.
     """
-    if "," in str(folder.resolve()):
-        raise InputError(f"--out: {folder}: SUMO reads a comma as the end of a path; give a folder without one")
+    check_path(folder)
     try:
         if folder.is_dir() and any(folder.iterdir()) and not (folder / SWEEP_FILE).is_file():
             raise InputError(f"--out: {folder}: holds files that are not a sweep's; give another folder")

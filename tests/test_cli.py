@@ -50,6 +50,8 @@ def words(text: str) -> list[str]:
 #: command line -> what its one line must say
 MISTAKES: list[tuple[str, str]] = [
     ("runn", "No such command"),
+    ("run map1 --out a,b", "SUMO reads a comma as the end of a path"),
+    ("run map1 --out 50%", "SUMO reads a per cent sign"),
     ("run", "scenario"),
     ("run map1 --agv", "No such option"),
     ("run map1 --agvs", "--agvs"),

@@ -154,6 +154,21 @@ def test_a_bay_out_of_order_gets_no_customers(tmp_path):
     assert any(e["kind"] == "car_at_bay" and e["vertex"] == "bay2_6w" and 60 < e["time_s"] < 900 for e in events)
 
 
+def test_an_agv_with_a_flat_battery_stands_until_service_has_come(tmp_path):
+    """Without any fault asked for: charging is never due, and the battery lasts for a few minutes."""
+    agv = {"battery_wh": 60.0, "charge_below": 0.0}
+    summary, events = run(tmp_path / "run", {}, agv=agv, agvs=2, record={"sample_s": 1.0})
+    nothing_lost(summary)
+    begin = next(e for e in events if e["kind"] == "fault_start")
+    end = next(e for e in events if e["kind"] == "fault_end" and e["fault"] == begin["fault"])
+    assert (begin["cause"], end["time_s"] - begin["time_s"]) == ("battery", 600.0)
+    places = duckdb.sql(
+        f"""select distinct x_m, y_m from '{tmp_path}/run/trajectory.parquet' where agv = {begin["agv"]}
+        and time_s between {begin["time_s"] + 5} and {end["time_s"]}"""
+    ).fetchall()
+    assert len(places) == 1
+
+
 def test_faults_do_not_depend_on_each_other_or_on_the_controller():
     graph = read_net("map1").graph
 

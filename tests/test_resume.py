@@ -70,7 +70,7 @@ def test_a_killed_run_is_readable_and_resumes_to_the_same_record(scenario, undis
     left = load_run(folder)
     assert left.meta["status"] == "killed"
     assert (left.events["time_s"] <= left.meta["simulated_s"]).all()
-    assert len(left.vertices)
+    assert len(left.vertices) or left.meta["simulated_s"] == 0  # killed within its first write
     assert command("run", str(scenario), "--out", str(folder), "-q") == 2
     assert "resume" in capsys.readouterr().err
     assert command("resume", str(folder), "--no-report", "-q") == 0

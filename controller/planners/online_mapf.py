@@ -198,7 +198,10 @@ def cut_at_wait(path: Path, problem: PlanningProblem) -> Path:
 
 
 def current_goals(
-    final: Mapping[int, int], distance: Mapping[int, int], way_points: Mapping[int, Sequence[int]]
+    final: Mapping[int, int],
+    distance: Mapping[int, float],
+    way_points: Mapping[int, Sequence[int]],
+    standing: Mapping[int, int] | None = None,
 ) -> dict[int, int]:
     """Where each robot has to go now, if several want one place (paper, section 3.1.1).
 
@@ -208,16 +211,21 @@ def current_goals(
     Args:
         final: final goal of each robot.
         distance: how far each robot is from its final goal.
-        way_points: for each place that several may want, where to wait for it, nearest to it first.
+        way_points: for each place that several may want, where to wait for it, nearest to it first. Nobody's final
+            goal is a way point of another.
+        standing: places where robots stand, by vertex: nobody else is sent there.
 
     Returns:
         The current goal of each robot; one for whom no way point is left keeps its final goal.
     """
+    taken = dict(standing or {})
     goals: dict[int, int] = {}
-    for place in sorted(set(final.values())):
-        waiting = sorted((n for n in final if final[n] == place), key=lambda n: (distance[n], n))
-        places = [place, *way_points.get(place, ())]
-        goals |= {n: places[k] if k < len(places) else place for k, n in enumerate(waiting)}
+    finals = set(final.values())
+    for n in sorted(final, key=lambda n: (final[n], distance[n], n)):
+        ways = [v for v in way_points.get(final[n], ()) if v not in finals]
+        free = (v for v in (final[n], *ways) if taken.get(v, n) == n)
+        goals[n] = next(free, final[n])
+        taken[goals[n]] = n
     return goals
 
 

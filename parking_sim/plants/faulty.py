@@ -115,6 +115,7 @@ class FaultyPlant:
         self._travel = [stream(seed, f"travel {i}") for i in range(len(homes))]
         self._radio = [stream(seed, f"radio {i}") for i in range(len(homes))]
         self._seen: deque[list[AgvState]] = deque([list(plant.states())])
+        self._quiet = not config.any  # nothing happens but that batteries run flat
 
     # --- the Plant protocol ---------------------------------------------------------------------------------------
 
@@ -125,7 +126,7 @@ class FaultyPlant:
 
     def states(self) -> Sequence[AgvState]:
         """What the AGVs report: late where positions are stale, unable where a fault holds them."""
-        return [self._reported(i) for i in range(len(self._bodies))]
+        return self._plant.states() if self._quiet else [self._reported(i) for i in range(len(self._bodies))]
 
     def events(self) -> Sequence[PlantEvent]:
         """What happened in the last step, faults included."""
@@ -140,6 +141,9 @@ class FaultyPlant:
         """Carry out one command, or put it on its way if it comes late."""
         if not isinstance(command, Advance | Act):
             self._plant.execute(command)
+            return
+        if self._quiet:
+            self._deliver(command)
             return
         body = self._bodies[command.agv]
         delay, kind = self._delay(command.agv)
@@ -160,6 +164,9 @@ class FaultyPlant:
         self._deliver_due()
         self._plant.step()
         self._step += 1
+        if self._quiet and all(state.soc > 0.0 for state in self._plant.states()):
+            return
+        self._quiet = False
         self._follow()
         self._end_faults()
         self._begin_faults()
@@ -206,8 +213,9 @@ class FaultyPlant:
                 body.reached = state.reached
             if body.owed >= 1:
                 self._pay(i)
-            if state.soc <= 0.0 and not body.out and self._config.battery:
-                self._postponed.append(Fault(self._now_s, "battery", self._config.battery.most_s, i))
+            if state.soc <= 0.0 and not body.out and (self._config.battery or not self.motion.following):
+                service = self._config.battery or Battery(per_h=0)
+                self._postponed.append(Fault(self._now_s, "battery", service.most_s, i))
 
     # --- travel time ----------------------------------------------------------------------------------------------
 
