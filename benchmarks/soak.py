@@ -1,9 +1,10 @@
 """All garages under mixed demand with every fault on at once: nothing may meet, lock up or get lost.
 
-    python benchmarks/soak.py [--full] [--steps 10e6] [--workers 2] [--planner whca] [--csv FILE]
+    python benchmarks/soak.py [--full] [--steps 10e6] [--workers 1] [--planner whca,token] [--csv FILE]
 
-Each case is run with and without faults on the same demand. The full form goes on with new seeds until the runs with
-faults have made ``--steps`` AGV-steps; the small form makes one case per garage. Exit code 1 if anything was not good.
+The full form goes on with new seeds, and the next planner, until the runs with faults have made ``--steps`` AGV-steps;
+the small form makes one case per garage. The cases of the first seed are also run without faults on the same demand.
+Rows are written as runs end. Exit code 1 if anything was not good.
 
 Rates are far above a real garage's, so that each fault meets each other; an AGV is out of order for about a tenth of
 its time. The times to recover are those from ``fault_start`` to ``fault_end`` (a breakdown: until it is repaired).
@@ -17,11 +18,12 @@ import json
 import multiprocessing
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from itertools import count
+from contextlib import nullcontext
+from itertools import count, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -87,7 +89,8 @@ def run(case: Case, seed: int, planner: str, rate: float) -> dict[str, Any]:
         seconds = fault_seconds(Path(folder) / "run")
     m = summary.metrics
     kept = ("tasks_done", "tasks_wanted", "simulated_s", "retrieval_wait_p95_s", "deadlocks_found", *MUST_BE_ZERO)
-    row = {"garage": garage, "agvs": agvs, "demand": kind, "seed": seed, "faulty": rate > 0, "status": summary.status}
+    row = {"garage": garage, "agvs": agvs, "demand": kind, "planner": planner, "seed": seed, "faulty": rate > 0}
+    row["status"] = summary.status
     row |= {key: m[key] for key in kept}
     row["lost"] = int(not (m["requests_conserved"] and m["cars_conserved"]))
     row["tasks_per_h"] = m["tasks_done"] / m["simulated_s"] * 3600.0
@@ -130,30 +133,39 @@ def jobs(full: bool) -> Iterator[tuple[Case, int]]:
             yield case, seed
 
 
-def soak(full: bool, steps: float, workers: int, planner: str) -> list[dict[str, Any]]:
-    """Run pairs until enough AGV-steps were made with faults; prints a line for each run."""
-    rows: list[dict[str, Any]] = []
-    todo = ((case, seed, faulty) for case, seed in jobs(full) for faulty in (True, False))
+def plan_runs(full: bool, steps: float, planners: Sequence[str]) -> Iterator[tuple[Case, int, str, float]]:
+    """Case, seed, planner and rate of faults of each run, until enough AGV-steps are planned with faults."""
     planned = 0.0
+    for case, seed in jobs(full):
+        if full and planned >= steps:
+            return
+        planned += case[1] * case[3] * 120.0
+        planner = planners[seed % len(planners)]
+        yield case, seed, planner, 1.0 if full else SMALL_RATE
+        if seed == 0:
+            yield case, seed, planner, 0.0
+
+
+def soak(runs: Iterator[tuple[Case, int, str, float]], workers: int, file: TextIO | None) -> list[dict[str, Any]]:
+    """Make the runs; prints and writes a line for each as it ends."""
+    rows: list[dict[str, Any]] = []
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:
         running: set[Future[dict[str, Any]]] = set()
         while True:
-            while len(running) < workers and (not full or planned < steps):
-                job = next(todo, None)
-                if job is None:
-                    break
-                case, seed, faulty = job
-                rate = (1.0 if full else SMALL_RATE) * faulty
-                planned += case[1] * case[3] * 120.0 * faulty
-                running.add(pool.submit(run, case, seed, planner, rate))
+            running |= {pool.submit(run, *job) for job in islice(runs, workers - len(running))}
             if not running:
                 return rows
             over, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in over:
-                row = future.result()
+            for row in (future.result() for future in over):
                 rows.append(row)
                 shown = " ".join(f"{key}={_short(value)}" for key, value in row.items() if key != "faults")
                 print("ok " if is_good(row) else "BAD", shown, flush=True)
+                if file:
+                    writer = csv.DictWriter(file, list(row))
+                    if len(rows) == 1:
+                        writer.writeheader()
+                    writer.writerow({**row, "faults": json.dumps(row["faults"])})
+                    file.flush()
 
 
 def _short(value: object) -> object:
@@ -171,12 +183,12 @@ def print_tables(rows: list[dict[str, Any]]) -> None:
         p50, p95 = np.quantile(seconds, (0.5, 0.95))
         print(f"| {kind} | {len(seconds)} | {p50:.1f} | {p95:.1f} |")
     calm = {(r["garage"], r["agvs"], r["demand"], r["seed"]): r for r in rows if not r["faulty"]}
-    print("\n| garage | AGVs | demand | seed | tasks/h | without faults | kept |\n|---|---|---|---|---|---|---|")
+    print("\n| garage | AGVs | demand | planner | tasks/h | without faults | kept |\n|---|---|---|---|---|---|---|")
     for r in rows:
         pair = calm.get((r["garage"], r["agvs"], r["demand"], r["seed"]))
         if r["faulty"] and pair:
             kept = r["tasks_per_h"] / pair["tasks_per_h"]
-            what = f"{r['garage']} | {r['agvs']} | {r['demand']} | {r['seed']}"
+            what = f"{r['garage']} | {r['agvs']} | {r['demand']} | {r['planner']}"
             print(f"| {what} | {r['tasks_per_h']:.1f} | {pair['tasks_per_h']:.1f} | {kept:.0%} |")
     hard = [r for r in rows if r["faulty"]]
     sums = ", ".join(f"{sum(r[key] for r in hard)} {key}" for key in (*MUST_BE_ZERO, "lost", "deadlocks_found"))
@@ -188,17 +200,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--full", action="store_true")
     parser.add_argument("--steps", type=float, default=10e6)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--planner", default="whca")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--planner", default="whca,token")
     parser.add_argument("--csv", type=Path)
     given = parser.parse_args()
-    rows = soak(given.full, given.steps, given.workers, given.planner)
+    runs = plan_runs(given.full, given.steps, given.planner.split(","))
+    with given.csv.open("w", newline="", encoding="utf-8") if given.csv else nullcontext() as file:
+        rows = soak(runs, given.workers, file)
     print_tables(rows)
-    if given.csv:
-        with given.csv.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, [key for key in rows[0] if key != "faults"], extrasaction="ignore")
-            writer.writeheader()
-            writer.writerows(rows)
     return 0 if all(map(is_good, rows)) else 1
 
 
