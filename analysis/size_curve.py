@@ -1,4 +1,4 @@
-"""The curve of a sizing: the target's measure against the number of AGVs."""
+"""The curve of a sizing: the target's measure against the number of AGVs, bays or chargers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def size_curve(sizing: Sizing) -> Drawing:
-    """Draw what each fleet size that was tried reaches, with intervals and the limit.
+    """Draw what each number that was tried reaches, with intervals and the limit.
 
     Args:
         sizing: the answer, see ``parking_sim.sizing``.
@@ -21,22 +21,25 @@ def size_curve(sizing: Sizing) -> Drawing:
     Returns:
         The figure for a page.
     """
+    from parking_sim.sizing import SIZED
+
+    word, name = SIZED[sizing.what], f"size-{sizing.what}"
     with style():
         figure, (axes,) = new_figure(3.0)
         for tried in sizing.tried:
             mean = tried.mean
             half = mean.half if math.isfinite(mean.half) else 0.0
-            axes.errorbar(tried.agvs, mean.mean, half, color=BLUE if tried.meets else GREY, marker="o", capsize=3)
-        axes.plot([t.agvs for t in sizing.tried], [t.mean.mean for t in sizing.tried], color=GREY, linewidth=1)
+            axes.errorbar(tried.number, mean.mean, half, color=BLUE if tried.meets else GREY, marker="o", capsize=3)
+        axes.plot([t.number for t in sizing.tried], [t.mean.mean for t in sizing.tried], color=GREY, linewidth=1)
         axes.axhline(sizing.target.limit_s, color=RED, linestyle="--", label=f"{sizing.target.limit_s:g} s")
-        axes.set_xticks([tried.agvs for tried in sizing.tried])
-        axes.set_xlabel("AGVs")
+        axes.set_xticks([tried.number for tried in sizing.tried])
+        axes.set_xlabel(word)
         axes.set_ylabel(f"{sizing.target.words.partition(' <')[0]}, s")
         axes.set_ylim(bottom=0)
         axes.legend(fontsize=8)
-        text = svg(figure, "size", "Fleet size")
+        text = svg(figure, name, f"Number of {word}")
     caption = "Mean over the seeds and its 95 % interval; blue meets the target, grey does not; dashed: the limit."
-    return Drawing("size", f"{sizing.target.words}, by fleet size", caption, text)
+    return Drawing(name, f"{sizing.target.words}, by number of {word}", caption, text)
 
 
 def write_curve(drawing: Drawing, path: Path) -> None:

@@ -48,13 +48,13 @@ class Variant:
     means: Mapping[str, Interval]
 
 
-def write_sweep_report(folder: Path, answer: str = "", answer_drawings: Sequence[Drawing] = ()) -> Path:
+def write_sweep_report(folder: Path, answers: Sequence[str] = (), answer_drawings: Sequence[Drawing] = ()) -> Path:
     """Write ``report.html`` into the folder of a sweep.
 
     Args:
         folder: folder of a sweep with one finished run at least.
-        answer: what comes before everything else, such as the answer of a sizing.
-        answer_drawings: figures to it.
+        answers: what comes before everything else, such as the answers of a sizing.
+        answer_drawings: figures to them.
 
     Returns:
         Path of the report.
@@ -71,7 +71,7 @@ def write_sweep_report(folder: Path, answer: str = "", answer_drawings: Sequence
     page = environment().get_template("sweep.html").render(
         title=f"Sweep {folder.resolve().name}",
         asked=_asked(runs, frame),
-        headlines=[*([answer] if answer else ()), *_headlines(runs, variants, frame)],
+        headlines=[*answers, *_headlines(runs, variants, frame)],
         heads=[*runs.varied, "runs", *(f"{MEASURES[key].words} ({MEASURES[key].unit})" for key in SHOWN)],
         rows=[_row(variant) for variant in variants],
         drawings=[*answer_drawings, *_drawings(variants, runs.varied)],

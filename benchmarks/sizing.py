@@ -18,7 +18,7 @@ from analysis.measures import interval
 from demand.profile_traffic import ProfileTraffic
 from parking_sim.config import Scenario, check_scenario
 from parking_sim.executors import open_executor
-from parking_sim.sizing import LAST_CONFIDENCE, Target, answer, find_fleet, measure_specs, parse_target
+from parking_sim.sizing import LAST_CONFIDENCE, Target, answer, find_least, measure_specs, parse_target
 from parking_sim.sweep import open_folder, write_plan
 from parking_sim.sweep_plan import make_runs
 
@@ -34,9 +34,9 @@ def main() -> None:
     print(f"{given.garage}: a grid of 1 to {given.most} AGVs with {len(SEEDS)} seeds is {whole} runs")
     for target in targets:
         known = values[target.key]
-        found = find_fleet(target, given.most, lambda agvs, seeds, k=known: [k[agvs][seed - 1] for seed in seeds])
+        found = find_least(target, given.most, lambda agvs, seeds, k=known: [k[agvs][seed - 1] for seed in seeds])
         best = brute_force(known, target, given.most)
-        verdict = "agrees" if best == found.agvs else f"DISAGREES with {best}"
+        verdict = "agrees" if best == found.number else f"DISAGREES with {best}"
         print(f"{target.words}: {verdict}; {found.runs} runs, {found.runs / whole:.0%} of the grid")
         print(f"    {answer(found, given.garage)}")
 

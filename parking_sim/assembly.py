@@ -27,6 +27,7 @@ from parking_sim.plants import Plant
 from parking_sim.plants.faulty import BreakablePlant, FaultyPlant
 from parking_sim.rulesets import RULE_SETS, TickRules
 from sumo_nets.doors import one_door_each
+from sumo_nets.in_use import first_places
 from sumo_nets.read import GarageNet, read_net
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ def assemble(scenario: Scenario) -> World:
         InputError: an unknown rule set, more AGVs than homes, a demand that does not fit.
         NetError: an unknown or unusable net.
     """
-    net = read_net(scenario.garage_source)
+    net = first_places(read_net(scenario.garage_source), scenario.bays, scenario.chargers)
     homes = net.graph.homes
     if scenario.agvs > len(homes):
         raise InputError(f"agvs: {scenario.agvs}: {net.name} has homes for 1 to {len(homes)}")

@@ -133,6 +133,8 @@ class Scenario(_Options):
         description="a shipped garage's name, or a net file; a relative path counts from this file's folder",
     )
     agvs: int = Field(ge=1, description="number of AGVs")
+    bays: int | None = Field(default=None, ge=1, description="bays in use, the first ones; default: all")
+    chargers: int | None = Field(default=None, ge=0, description="chargers in use, the first ones; default: all")
     plant: Literal["sumo", "discrete"] = Field(
         default="sumo", description="what moves the AGVs: SUMO, or ticks of one cell without SUMO"
     )

@@ -1,14 +1,14 @@
-"""The smallest fleet that meets a target, by as few runs as it takes.
+"""The smallest fleet that meets a target, by as few runs as it takes; then, if wanted, the fewest bays and chargers.
 
-Fleet sizes are tried by doubling until one meets the target, then by halving the gap below it. Each size is run with
+Numbers are tried by doubling until one meets the target, then by halving the gap below it. Each number is run with
 one seed after another, the same for all, until it is clear on which side of the target the mean over the seeds lies.
 One looks after 3, 5, 8, 12, 18 and 30 seeds. To meet the target takes one-sided confidence of 99.8 % at a look and of
-96 % at the last: added up (Bonferroni), a size is said to meet it wrongly with a probability of at most 5 %, however
-often one has looked. To miss it 95 % are enough, for that errs to the safe side. A size that remains unclear after the
-last seed does not meet the target.
+96 % at the last: added up (Bonferroni), a number is said to meet it wrongly with a probability of at most 5 %, however
+often one has looked. To miss it 95 % are enough, for that errs to the safe side. A number that remains unclear after
+the last seed does not meet the target.
 
 That is right if more AGVs never make the wait longer up to the answer. Where they get in each other's way the curve
-turns up again, so that a target that the greatest fleet misses is also looked for around the best size seen.
+turns up again, so that a target that the greatest fleet misses is also looked for around the best number seen.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from analysis.measures import Interval, interval
@@ -27,10 +28,13 @@ from parking_sim.errors import InputError
 from parking_sim.sweep import RunFailedError, Tell, open_folder, run_folder, run_missing, write_plan
 from parking_sim.sweep_plan import RunSpec, make_runs
 
-#: Seeds after which a size is looked at.
+#: Seeds after which a number is looked at.
 LOOKS = (3, 5, 8, 12, 18, 30)
-#: One-sided confidence that a size meets the target, at a look and at the last one; and that it misses it.
+#: One-sided confidence that a number meets the target, at a look and at the last one; and that it misses it.
 LOOK_CONFIDENCE, LAST_CONFIDENCE, MISS_CONFIDENCE = 0.998, 0.96, 0.95
+
+#: What can be sized: the scenario's key, and its word.
+SIZED = {"agvs": "AGVs", "bays": "bays", "chargers": "chargers"}
 
 _WHAT = {
     "retrieval total": "retrieval_total",
@@ -58,15 +62,15 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """A fleet size that was tried.
+    """A number of AGVs, bays or chargers that was tried.
 
     Attributes:
-        agvs: the size.
+        number: how many.
         meets: whether it meets the target.
         values: the measure of each seed, in the order of the seeds.
     """
 
-    agvs: int
+    number: int
     meets: bool
     values: tuple[float, ...]
 
@@ -78,11 +82,21 @@ class Tried:
 
 @dataclass(frozen=True)
 class Sizing:
-    """The answer: the smallest fleet that meets the target, None if none does, and all sizes tried, in order."""
+    """The answer: the least number that meets the target.
+
+    Attributes:
+        target: what it shall reach.
+        number: the least that does, None if none does.
+        tried: all numbers tried, in order.
+        what: of what, a key of ``SIZED``.
+        given: what was sized before, and is kept.
+    """
 
     target: Target
-    agvs: int | None
+    number: int | None
     tried: tuple[Tried, ...]
+    what: str = "agvs"
+    given: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def runs(self) -> int:
@@ -90,7 +104,7 @@ class Sizing:
         return sum(len(tried.values) for tried in self.tried)
 
 
-#: Gives the measure of a fleet size for seeds.
+#: Gives the measure of a number of AGVs, bays or chargers for seeds.
 Measure = Callable[[int, Sequence[int]], Sequence[float]]
 
 
@@ -117,24 +131,24 @@ def parse_target(text: str) -> Target:
     return Target(match[0], f"{_WHAT[match[1]]}_{match[2]}_s", limit_s)
 
 
-def find_fleet(target: Target, most: int, measure: Measure, looks: Sequence[int] = LOOKS) -> Sizing:
-    """Search for the smallest fleet.
+def find_least(target: Target, most: int, measure: Measure, looks: Sequence[int] = LOOKS) -> Sizing:
+    """Search for the least number, of AGVs unless something else is filled in.
 
     Args:
         target: what it shall reach.
-        most: greatest fleet to try, 1 or more.
-        measure: runs a fleet size with seeds; asked for the seeds from 1 on, never for one twice.
-        looks: numbers of seeds after which a size is looked at, rising.
+        most: greatest number to try, 1 or more.
+        measure: runs a number with seeds; asked for the seeds from 1 on, never for one twice.
+        looks: numbers of seeds after which a number is looked at, rising.
 
     Returns:
         The answer and how it was found.
     """
     tried: dict[int, Tried] = {}
 
-    def meets(agvs: int) -> bool:
-        if agvs not in tried:
-            tried[agvs] = _judge(agvs, target.limit_s, measure, looks)
-        return tried[agvs].meets
+    def meets(number: int) -> bool:
+        if number not in tried:
+            tried[number] = _judge(number, target.limit_s, measure, looks)
+        return tried[number].meets
 
     low, high = 0, 1
     while not meets(high) and high < most:
@@ -145,46 +159,54 @@ def find_fleet(target: Target, most: int, measure: Measure, looks: Sequence[int]
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if meets(middle) else (middle, high)
-    return Sizing(target, high or None, tuple(tried[agvs] for agvs in sorted(tried)))
+    return Sizing(target, high or None, tuple(tried[number] for number in sorted(tried)))
 
 
-def size_fleet(
+def size_garage(
     scenario: Scenario,
     target: Target,
-    most: int,
+    most: Mapping[str, int],
     folder: Path,
     executor: Executor,
     looks: Sequence[int] = LOOKS,
     tell: Tell | None = None,
-) -> Sizing:
-    """Find the smallest fleet of a scenario that meets a target.
+) -> list[Sizing]:
+    """Find the smallest fleet of a scenario that meets a target, then the fewest bays and chargers with which it does.
 
     Args:
-        scenario: what to run; its number of AGVs and its seed are replaced.
-        target: what the fleet shall reach.
-        most: greatest fleet to try.
-        folder: for the runs, kept as those of a sweep over ``agvs``: runs done already are not done again.
+        scenario: what to run; what is sized and the seed are replaced.
+        target: what shall be reached.
+        most: greatest number of each to try, by key of ``SIZED``, in the order in which they are sized.
+        folder: for the runs, kept as those of a sweep over these keys: runs done already are not done again.
         executor: what does the runs, see ``parking_sim.executors``.
-        looks: numbers of seeds after which a size is looked at.
+        looks: numbers of seeds after which a number is looked at.
         tell: called with the progress of the runs asked for so far.
 
     Returns:
-        The answer.
+        An answer for each; only the first if none meets the target.
 
     Raises:
         InputError: the folder can't be used, or the scenario does not fit its garage.
         RunFailedError: a run failed twice.
     """
     open_folder(folder)
-    all_specs: list[RunSpec] = []
+    settings, known = dict(most), dict[str, RunSpec]()
 
-    def measure(agvs: int, seeds: Sequence[int]) -> Sequence[float]:
-        specs = make_runs([scenario.model_copy(update={"agvs": agvs})], [{"agvs": agvs}], seeds)
-        all_specs.extend(specs)
-        write_plan(sorted(all_specs, key=lambda spec: spec.scenario.agvs), folder)
+    def measure(what: str, number: int, seeds: Sequence[int]) -> Sequence[float]:
+        varied = {**settings, what: number}
+        specs = make_runs([scenario.model_copy(update=varied)], [varied], seeds)
+        known.update((spec.key, spec) for spec in specs)
+        write_plan(sorted(known.values(), key=lambda spec: [dict(spec.varied)[key] for key in most]), folder)
         return measure_specs(specs, target.key, folder, executor, tell)
 
-    return find_fleet(target, most, measure, looks)
+    answers: list[Sizing] = []
+    for what, limit in most.items():
+        found = find_least(target, limit, partial(measure, what), looks)
+        answers.append(replace(found, what=what, given={sized.what: settings[sized.what] for sized in answers}))
+        if found.number is None:
+            break
+        settings[what] = found.number
+    return answers
 
 
 def measure_specs(
@@ -220,42 +242,50 @@ def answer(sizing: Sizing, where: str) -> str:
     """The answer in a sentence.
 
     Args:
-        sizing: see :func:`find_fleet`.
+        sizing: see :func:`size_garage`.
         where: what was sized, such as ``map1, mall-saturday 13 to 16 h``.
     """
-    by_size = {tried.agvs: tried for tried in sizing.tried}
-    runs = f"{sizing.runs} runs"
-    if sizing.agvs is None:
+    if sizing.number is None:
         best = min(sizing.tried, key=_mean_or_inf)
         return (
-            f"No fleet of 1 to {sizing.tried[-1].agvs} AGVs meets '{sizing.target.words}' in {where}: the best tried,"
-            f" {best.agvs}, has {_span(best.mean)} ({runs})."
+            f"No fleet of 1 to {sizing.tried[-1].number} {SIZED[sizing.what]} meets '{sizing.target.words}' in {where}:"
+            f" the best tried, {best.number}, has {_span(best.mean)} ({sizing.runs} runs)."
         )
-    fleet = f"{sizing.agvs} AGVs meet" if sizing.agvs > 1 else "1 AGV meets"
-    below = by_size.get(sizing.agvs - 1)
-    less = f"; {below.agvs} do not, with {_span(below.mean)}" if below is not None else ""
-    reached = _span(by_size[sizing.agvs].mean)
-    return f"{fleet} '{sizing.target.words}' in {where} with 95 % confidence: {reached}{less} ({runs})."
+    by_number = {tried.number: tried for tried in sizing.tried}
+    given = " and ".join(_count(number, what) for what, number in sizing.given.items())
+    below = by_number.get(sizing.number - 1)
+    less = ""
+    if below is not None:
+        less = f"; {below.number} {'does' if below.number == 1 else 'do'} not, with {_span(below.mean)}"
+    return (
+        f"{f'With {given}, ' if given else ''}{_count(sizing.number, sizing.what)}"
+        f" {'meets' if sizing.number == 1 else 'meet'} '{sizing.target.words}' in {where} with 95 % confidence:"
+        f" {_span(by_number[sizing.number].mean)}{less} ({sizing.runs} runs)."
+    )
 
 
-def _judge(agvs: int, limit_s: float, measure: Measure, looks: Sequence[int]) -> Tried:
-    """Run a size until it is clear on which side of the limit it lies."""
+def _count(number: int, what: str) -> str:
+    return f"{number} {SIZED[what].removesuffix('s') if number == 1 else SIZED[what]}"
+
+
+def _judge(number: int, limit_s: float, measure: Measure, looks: Sequence[int]) -> Tried:
+    """Run a number until it is clear on which side of the limit it lies."""
     values: list[float] = []
     for look in looks:
-        values.extend(measure(agvs, range(len(values) + 1, look + 1)))
+        values.extend(measure(number, range(len(values) + 1, look + 1)))
         asked = LAST_CONFIDENCE if look == looks[-1] else LOOK_CONFIDENCE
         if interval(values, 2 * asked - 1).high < limit_s:
-            return Tried(agvs, True, tuple(values))
+            return Tried(number, True, tuple(values))
         if interval(values, 2 * MISS_CONFIDENCE - 1).low > limit_s:
             break
-    return Tried(agvs, False, tuple(values))
+    return Tried(number, False, tuple(values))
 
 
 def _around_best(tried: dict[int, Tried], meets: Callable[[int], bool]) -> int | None:
-    """Halve the gaps beside the best size, until one meets the target or there are no gaps."""
+    """Halve the gaps beside the best number, until one meets the target or there are no gaps."""
     while True:
         sizes = sorted(tried)
-        best = sizes.index(min(sizes, key=lambda agvs: _mean_or_inf(tried[agvs])))
+        best = sizes.index(min(sizes, key=lambda number: _mean_or_inf(tried[number])))
         pairs = [pair for pair in itertools.pairwise(sizes) if sizes[best] in pair and pair[1] - pair[0] > 1]
         if not pairs:
             return None

@@ -90,6 +90,7 @@ def size(
     scale: Annotated[float, typer.Option(help="Factor on the cars of the profile.", min=0.001)] = 1.0,
     max_agvs: Annotated[int | None, typer.Option(help="Greatest fleet; default: all homes.", min=1)] = None,
     max_seeds: Annotated[int, typer.Option(help="Most seeds for a fleet size.", min=3)] = 30,
+    also: Annotated[str, typer.Option(help="What to size after the fleet: bays, chargers, or both by a comma.")] = "",
     planner: Annotated[str | None, typer.Option(help="Planner: a name, or file.py:function.")] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
@@ -100,24 +101,23 @@ def size(
     """Find the smallest fleet that meets a target with 95 % confidence."""
     from parking_sim.executors import open_executor
     from parking_sim.progress import SweepBar
-    from parking_sim.sizing import LOOKS, answer, parse_target, size_fleet
-    from sumo_nets.read import read_net
+    from parking_sim.sizing import LOOKS, answer, parse_target, size_garage
 
     wanted = parse_target(target)
     base = _scenario_to_size(scenario, planner, profile, (start, hours, scale), wanted.limit_s)
-    homes = len(read_net(base.garage_source).graph.homes)
-    if max_agvs is not None and max_agvs > homes:
-        raise InputError(f"--max-agvs: {max_agvs}: {scenario} has homes for 1 to {homes}")
+    most = _most(base, scenario, max_agvs, also)
     name = Path(scenario).name.split(".")[0]
     where = _where(name, base)
     folder = out or Path("runs") / f"size-{name}-{profile or 'own'}".replace("/", "-")
     looks = (*(look for look in LOOKS if look < max_seeds), max_seeds)
     with open_executor(workers, scheduler) as executor, SweepBar(quiet) as bar:
-        found = size_fleet(base, wanted, max_agvs or homes, folder, executor, looks, bar.update)
-    _print_table(_sizing_rows(found), where)
-    print(answer(found, where))
-    _keep_sizing(found, answer(found, where), folder, report, quiet)
-    raise typer.Exit(0 if found.agvs else _UNFINISHED)
+        found = size_garage(base, wanted, most, folder, executor, looks, bar.update)
+    sentences = [answer(sizing, where) for sizing in found]
+    for sizing, sentence in zip(found, sentences, strict=True):
+        _print_table(_sizing_rows(sizing), where)
+        print(sentence)
+    _keep_sizing(found, sentences, folder, report, quiet)
+    raise typer.Exit(0 if found[0].number else _UNFINISHED)
 
 
 def tune(
@@ -219,6 +219,25 @@ def _scenario_to_size(
     return base.model_copy(update={"workload": traffic, "duration_s": 3600 * hours + limit_s})
 
 
+def _most(scenario: Scenario, name: str, max_agvs: int | None, also: str) -> dict[str, int]:
+    """What to size, in order, and the greatest number of each."""
+    from sumo_nets.read import read_net
+
+    net = read_net(scenario.garage_source)
+    homes = len(net.graph.homes)
+    if max_agvs is not None and max_agvs > homes:
+        raise InputError(f"--max-agvs: {max_agvs}: {name} has homes for 1 to {homes}")
+    there = {"bays": len(net.bays), "chargers": len(net.graph.chargers)}
+    most = {"agvs": max_agvs or homes}
+    for what in also.split(",") if also else ():
+        if what not in there:
+            raise InputError(f"--also: {what!r}: give one of {', '.join(there)}, or both with a comma between them")
+        if not there[what]:
+            raise InputError(f"--also: {what}: {name} has none")
+        most[what] = there[what]
+    return most
+
+
 def _where(name: str, scenario: Scenario) -> str:
     from demand.profile_traffic import ProfileTraffic
 
@@ -235,10 +254,12 @@ def _clock(hour: float) -> str:
 
 
 def _sizing_rows(sizing: Sizing) -> list[dict[str, str]]:
+    from parking_sim.sizing import SIZED
+
     what = sizing.target.words.partition(" <")[0]
     return [
         {
-            "AGVs": str(tried.agvs),
+            SIZED[sizing.what]: str(tried.number),
             f"{what}, s": f"{tried.mean.mean:.0f}",
             "95 % interval": f"{tried.mean.low:.0f} .. {tried.mean.high:.0f}",
             "seeds": str(len(tried.values)),
@@ -248,25 +269,36 @@ def _sizing_rows(sizing: Sizing) -> list[dict[str, str]]:
     ]
 
 
-def _keep_sizing(sizing: Sizing, sentence: str, folder: Path, report: bool, quiet: bool) -> None:
-    """The answer as JSON, the curve as a picture, and the report."""
+def _keep_sizing(found: Sequence[Sizing], sentences: Sequence[str], folder: Path, report: bool, quiet: bool) -> None:
+    """The answers as JSON, the curves as pictures, and the report."""
     from analysis.size_curve import size_curve, write_curve
     from parking_sim.record import write_json
 
-    tried = [{"agvs": t.agvs, "meets": t.meets, "values_s": t.values} for t in sizing.tried]
-    target = {"words": sizing.target.words, "measure": sizing.target.key, "limit_s": sizing.target.limit_s}
-    write_json(folder / "sizing.json", {"answer": sentence, "agvs": sizing.agvs, "target": target, "tried": tried})
-    curve = size_curve(sizing)
-    write_curve(curve, folder / "curve.svg")
-    _say(quiet, f"curve: {folder / 'curve.svg'}")
+    target = found[0].target
+    sized = [
+        {
+            "what": sizing.what,
+            "number": sizing.number,
+            "answer": sentence,
+            "tried": [{"number": t.number, "meets": t.meets, "values_s": t.values} for t in sizing.tried],
+        }
+        for sizing, sentence in zip(found, sentences, strict=True)
+    ]
+    asked = {"words": target.words, "measure": target.key, "limit_s": target.limit_s}
+    write_json(folder / "sizing.json", {"target": asked, "sized": sized})
+    curves = [size_curve(sizing) for sizing in found]
+    for sizing, curve in zip(found, curves, strict=True):
+        path = folder / f"curve-{sizing.what}.svg"
+        write_curve(curve, path)
+        _say(quiet, f"curve: {path}")
     if report:
-        _report(folder, quiet, sentence, [curve])
+        _report(folder, quiet, sentences, curves)
 
 
-def _report(folder: Path, quiet: bool, answer: str = "", drawings: Sequence[Drawing] = ()) -> None:
+def _report(folder: Path, quiet: bool, answers: Sequence[str] = (), drawings: Sequence[Drawing] = ()) -> None:
     from analysis.sweep_report import write_sweep_report
 
-    _say(quiet, f"report: {write_sweep_report(folder, answer, drawings)}")
+    _say(quiet, f"report: {write_sweep_report(folder, answers, drawings)}")
 
 
 def _hour_rows(profile: Profile) -> list[dict[str, str]]:

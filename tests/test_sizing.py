@@ -11,11 +11,15 @@ import numpy as np
 import pytest
 
 from analysis.measures import interval
+from parking_sim.assembly import assemble
 from parking_sim.cli import main
+from parking_sim.config import load_scenario
 from parking_sim.errors import InputError
 from parking_sim.executors import open_executor
-from parking_sim.sizing import LAST_CONFIDENCE, Measure, Target, answer, find_fleet, parse_target
+from parking_sim.sizing import LAST_CONFIDENCE, Measure, Target, answer, find_least, parse_target
 from parking_sim.tuning import parse_ranges, tune_scenario
+from sumo_nets.in_use import first_places
+from sumo_nets.read import NetError, read_net
 
 GARAGES: dict[str, tuple[Callable[[int], float], int]] = {
     "more is better": (lambda n: 900 / n + 120, 12),
@@ -52,26 +56,26 @@ def brute_force(measure: Measure, limit_s: float, most: int) -> int | None:
 def test_agrees_with_brute_force_in_a_third_of_its_runs(name: str, limit_s: float) -> None:
     curve, most = GARAGES[name]
     asked: list[tuple[int, int]] = []
-    found = find_fleet(Target("", "", limit_s), most, plant(curve, asked))
-    assert found.agvs == brute_force(plant(curve), limit_s, most)
+    found = find_least(Target("", "", limit_s), most, plant(curve, asked))
+    assert found.number == brute_force(plant(curve), limit_s, most)
     assert found.runs == len(asked) == len(set(asked)) <= 30 * most / 3
-    if found.agvs:
-        meets = {tried.agvs: tried.meets for tried in found.tried}
-        assert meets[found.agvs]
-        assert found.agvs == 1 or not meets[found.agvs - 1]
+    if found.number:
+        meets = {tried.number: tried.meets for tried in found.tried}
+        assert meets[found.number]
+        assert found.number == 1 or not meets[found.number - 1]
 
 
 def test_an_impossible_target_is_said_to_be_so() -> None:
-    found = find_fleet(Target("retrieval p95 < 100 s", "", 100), 8, plant(lambda n: 300 + 10 * abs(n - 5)))
-    assert found.agvs is None
+    found = find_least(Target("retrieval p95 < 100 s", "", 100), 8, plant(lambda n: 300 + 10 * abs(n - 5)))
+    assert found.number is None
     said = answer(found, "map1")
     assert said.startswith("No fleet of 1 to 8 AGVs meets 'retrieval p95 < 100 s' in map1: the best tried, 5, has 3")
 
 
 def test_a_fleet_between_two_doublings_is_not_missed() -> None:
     """Only 5 to 7 AGVs meet it: 4 are too few and 8 too many."""
-    found = find_fleet(Target("", "", 200), 8, plant(lambda n: 100 if 5 <= n <= 7 else 400 + 5 * abs(n - 6)))
-    assert found.agvs == 5
+    found = find_least(Target("", "", 200), 8, plant(lambda n: 100 if 5 <= n <= 7 else 400 + 5 * abs(n - 6)))
+    assert found.number == 5
 
 
 def test_wrong_answers_are_rare() -> None:
@@ -80,13 +84,13 @@ def test_wrong_answers_are_rare() -> None:
     def measure_of(trial: int) -> Measure:
         return lambda agvs, seeds: [np.random.default_rng([trial, s]).normal(300, SPREAD_S) for s in seeds]
 
-    wrong = sum(find_fleet(Target("", "", 300), 1, measure_of(trial)).agvs is not None for trial in range(200))
+    wrong = sum(find_least(Target("", "", 300), 1, measure_of(trial)).number is not None for trial in range(200))
     assert wrong <= 10 + 2 * math.sqrt(10)
 
 
 def test_the_answer_is_one_sentence() -> None:
-    found = find_fleet(parse_target("retrieval p95 < 5 min"), 8, plant(lambda n: 900 / n))
-    assert found.agvs == 4
+    found = find_least(parse_target("retrieval p95 < 5 min"), 8, plant(lambda n: 900 / n))
+    assert found.number == 4
     said = answer(found, "map1")
     assert said.startswith("4 AGVs meet 'retrieval p95 < 5 min' in map1 with 95 % confidence: ")
     assert "; 3 do not, with " in said
@@ -94,8 +98,8 @@ def test_the_answer_is_one_sentence() -> None:
 
 
 def test_runs_with_nothing_to_measure_meet_nothing() -> None:
-    found = find_fleet(Target("", "", 300), 2, lambda agvs, seeds: [math.nan for _ in seeds], (3, 5))
-    assert found.agvs is None
+    found = find_least(Target("", "", 300), 2, lambda agvs, seeds: [math.nan for _ in seeds], (3, 5))
+    assert found.number is None
     assert "nothing to measure" in answer(found, "map1")
 
 
@@ -136,19 +140,86 @@ def test_the_command(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypa
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s.yaml").write_text(SCENARIO)
     with pytest.raises(SystemExit) as caught:
-        main(["size", "s.yaml", "--target", "retrieval p95 < 1 s", "--max-agvs", "2", "--max-seeds", "3", "-q"])
+        main(
+            [
+                "size",
+                "s.yaml",
+                "--target",
+                "retrieval p95 < 1 s",
+                "--max-agvs",
+                "2",
+                "--max-seeds",
+                "3",
+                "--workers",
+                "1",
+                "-q",
+            ]
+        )
     assert caught.value.code == 1
     said = capfd.readouterr().out
     assert "No fleet of 1 to 2 AGVs meets 'retrieval p95 < 1 s'" in said
     folder = tmp_path / "runs" / "size-s-own"
-    assert json.loads((folder / "sizing.json").read_text())["agvs"] is None
-    assert (folder / "curve.svg").is_file()
+    (sized,) = json.loads((folder / "sizing.json").read_text())["sized"]
+    assert (sized["what"], sized["number"]) == ("agvs", None)
+    assert (folder / "curve-agvs.svg").is_file()
     assert "No fleet of 1 to 2 AGVs" in (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_bays_and_chargers_are_sized_after_the_fleet(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.yaml").write_text(SCENARIO)
+    words = [
+        "size",
+        "s.yaml",
+        "--target",
+        "queue mean < 100 s",
+        "--max-agvs",
+        "4",
+        "--max-seeds",
+        "3",
+        "--workers",
+        "1",
+    ]
+    with pytest.raises(SystemExit) as caught:
+        main([*words, "--also", "bays,chargers"])
+    said = capfd.readouterr().out
+    assert caught.value.code == 0
+    written = json.loads((tmp_path / "runs" / "size-s-own" / "sizing.json").read_text())["sized"]
+    assert [sized["what"] for sized in written] == ["agvs", "bays", "chargers"]
+    fleet, bays, chargers = (sized["number"] for sized in written)
+    assert (bays, chargers) == (2, 1), "60 customers an hour are too many for one bay; no battery is ever empty"
+    assert f"With {fleet} AGVs, 2 bays meet 'queue mean < 100 s'" in said
+    # with all bays it is the fleet's own runs, which are not done again
+    values = {sized["what"]: {tried["number"]: tried["values_s"] for tried in sized["tried"]} for sized in written}
+    assert values["bays"][2] == values["agvs"][fleet]
+    assert all(one > two for one, two in zip(values["bays"][1], values["bays"][2], strict=True))
+    runs = list((tmp_path / "runs" / "size-s-own" / "runs").iterdir())
+    assert len(runs) == sum(len(v) for numbers in values.values() for v in numbers.values()) - 3
+
+
+def test_places_that_are_not_there(tmp_path: Path) -> None:
+    for keys, message in (
+        ("garage: map1, bays: 3", "bays: 3: map1 has 2"),
+        ("garage: map1, chargers: 4", "chargers: 4: map1 has 3"),
+        ("garage: map1_thesis, bays: 1", "bays: 1: map1_thesis has none: it hands cars over at the AGVs' homes"),
+    ):
+        (tmp_path / "s.yaml").write_text(f"{{{keys}, agvs: 1, plant: discrete}}")
+        with pytest.raises(NetError, match=message):
+            assemble(load_scenario(tmp_path / "s.yaml"))
+    net = read_net("map1")
+    fewer = first_places(net, 1, 0)
+    assert (fewer.graph.bays, fewer.graph.chargers) == (net.graph.bays[:1], ())
+    assert [site.vertex for site in fewer.bays] == list(fewer.graph.bays)
+    assert fewer.graph.slots == net.graph.slots
+    assert first_places(net) is net
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        ("--target 'queue max < 9 s' --also doors", "--also: 'doors': give one of bays, chargers"),
         ("--target x", "--target: 'x'"),
         ("--target 'retrieval p95 < 5 min' --profile mal", "profile: 'mal': give one of"),
         ("--target 'retrieval p95 < 5 min' --max-agvs 99", "--max-agvs: 99: map1 has homes for 1 to 8"),
