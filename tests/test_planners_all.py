@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import inspect
+import random
 import shutil
-from pathlib import Path
+from dataclasses import replace
+from pathlib import Path as FilePath
 
+import numpy as np
 import pytest
 
 from controller.planners.contract import check_planner, random_problem, violations
 from controller.planners.table import ENTRY_POINTS, PLANNERS, load_planner
-from controller.types import FOREVER, Status
+from controller.types import FOREVER, Path, PlanAgent, PlanningProblem, Status, make_motion
 from parking_sim.cli import main
 from parking_sim.config import load_scenario
 from parking_sim.simulation import simulate
+from sumo_nets.movingai import grid_graph
 
-OWN = Path(__file__).parents[1] / "docs" / "examples" / "own_planner.py"
+OWN = FilePath(__file__).parents[1] / "docs" / "examples" / "own_planner.py"
 
 #: Options that keep the tests quick.
 QUICK = {"lacam": {"proposals": 100}, "cbs": {"expansions": 50}}
@@ -49,6 +53,34 @@ def test_nobody_is_cheaper_than_cbs(number):
         other = maker(name)(problem.graph, problem.motion)(problem)
         if best.status is Status.SOLVED and other.status is Status.SOLVED:
             assert cost(other) >= cost(best)
+
+
+def test_improvement_keeps_plans_free_of_conflicts_and_never_makes_them_later():
+    """Those who have a path carry it out, and it may be planned again."""
+    saved = 0
+    graph = grid_graph("hall", ["." * 8] * 8)
+    motion = make_motion(graph, 1.0, lambda _metres, _loaded: 1, lambda _degrees, _loaded: 0, True)
+    for seed in range(5):
+        rng = random.Random(seed)
+        pairs = zip(*(rng.sample(range(64), 16) for _ in range(2)), strict=True)
+        agents = tuple(PlanAgent(agv, start, -1, 0, goal, False) for agv, (start, goal) in enumerate(pairs))
+        fixed = tuple(Path(a.agv, (a.vertex,), (0,), ()) for a in agents)
+        free = np.zeros(64, dtype=np.uint8)
+        p = PlanningProblem(graph, motion, agents, fixed, free, free, FOREVER)
+        plain = load_planner("token", p.graph, p.motion, {"slack_moves": 0})(p)
+        carrying = tuple(a for a in agents if a.agv in plain.paths)
+        fixed = tuple(plain.paths.get(path.agv, path) for path in fixed)
+        late = replace(p, agents=tuple(a for a in agents if a not in carrying), carrying=carrying, fixed=fixed)
+        results = [
+            load_planner("token", p.graph, p.motion, {"improvements": n, "late_moves": 0, "slack_moves": 0})(late) for n in (0, 20)
+        ]
+        assert [violations(lambda _, r=r: r, late) for r in results] == [[], []]
+        assert results[0].failed.keys() == results[1].failed.keys()
+        assert results[0].paths.keys() <= results[1].paths.keys()
+        ends = [{path.agv: path.arrive[-1] for path in (*fixed, *r.paths.values())} for r in results]
+        assert sum(ends[1].values()) <= sum(ends[0].values())
+        saved += sum(ends[0].values()) - sum(ends[1].values())
+    assert saved > 0
 
 
 def cost(result):

@@ -42,6 +42,7 @@ class TokenOptions:
     passes: int = 2
     improvements: int = 0
     late_moves: int = 2
+    slack_moves: int = 2
     through_slots: bool = False
 
 
@@ -59,13 +60,15 @@ class Token:
     def __init__(self, space: Space, options: TokenOptions) -> None:
         self.options = options
         self.improves = options.improvements > 0
-        self._threshold = options.late_moves * int(np.median(space.lanes.edge_steps))
+        move = int(np.median(space.lanes.edge_steps))
+        self._threshold = options.late_moves * move
         self._slots = np.zeros(len(space.graph.names), dtype=np.uint8)
         if not options.through_slots:
             self._slots[list(space.graph.slots)] = 1
         self.distances = Distances(space, ends=self._slots)
         self.table = ReservationTable(len(space.graph.names), space.motion.following)
-        self._search = PathSearch(self.distances)
+        self._search = PathSearch(self.distances, options.slack_moves * move)
+        self._looked: dict[int, int] = {}
 
     def __call__(self, problem: PlanningProblem) -> PlanResult:
         """Plan for the agents of a problem.
@@ -105,7 +108,8 @@ class Token:
         everybody = carried | paths
         agents = {a.agv: a for a in problem.carrying if a.agv in carried and carried[a.agv].vertices[-1] == a.goal}
         agents |= {a.agv: a for a in problem.agents if a.agv in paths}
-        improvement = Improvement(problem, agents, everybody, self.table, self._search)
+        self._looked.update({agent.agv: 0 for agent in problem.agents})
+        improvement = Improvement(problem, agents, everybody, self.table, self._search, self._looked)
         improvement.run(self.options.improvements, self._threshold)
         paths.update({agv: everybody[agv] for agv in improvement.changed})
 
