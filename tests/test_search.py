@@ -79,10 +79,10 @@ def test_the_search_goes_only_as_far_as_asked():
     grid = make_graph("grid", vertices, [(u + ">" + v, u, v, 5.0) for u, v in links if v in names])
     distances = Distances(Space(grid, classic(grid)))
     assert distances.distance(grid.index["20,20"], -1, grid.index["20,26"], False) == 6
-    assert distances.counters[0] < 100
+    assert distances.counters[0] < 30
     before = distances.counters[0]
     assert distances.distance(grid.index["20,21"], -1, grid.index["20,26"], False) == 5
-    assert distances.counters[0] - before < 20
+    assert distances.counters[0] - before < 30
 
 
 class Steps:
@@ -159,17 +159,18 @@ def crossings(draw):
 
 
 @settings(max_examples=200, deadline=None)
-@given(crossings())
-def test_quickest_path_among_others(p):
+@given(crossings(), st.integers(0, 5))
+def test_quickest_path_among_others_and_with_slack_little_later(p, slack):
     agent = p.agents[0]
     finder, table = search(p, agent, p.fixed)
+    finder.slack = slack
     path = finder.find_path(p, agent, table)
     best = optimum(p)
     if path is None:
         assert best is None
     else:
         assert validate(p, PlanResult(Status.SOLVED, {agent.agv: path})) == []
-        assert path.arrive[-1] == best
+        assert best <= path.arrive[-1] <= best + slack
 
 
 @settings(max_examples=100, deadline=None)

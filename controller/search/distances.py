@@ -28,7 +28,7 @@ from sumo_nets.graph import FloatArray, IntArray
 #: Columns of ``Field.states``: g + 1 (0: not seen yet), f, place in OPEN + 1 (-1: closed), and OPEN itself.
 G, F, PLACE, OPEN = 0, 1, 2, 3
 #: Places of ``Field.meta``.
-SIZE, GOAL, LOADED = 0, 1, 2
+SIZE, GOAL, LOADED, AIM = 0, 1, 2, 3
 
 
 class Field(NamedTuple):
@@ -36,7 +36,7 @@ class Field(NamedTuple):
 
     Attributes:
         states: shape (m, 4), int32; zeroed memory that is not touched costs nothing.
-        meta: number of states in OPEN, the goal, and 1 if loaded.
+        meta: number of states in OPEN, the goal, 1 if loaded, and the vertex it is aimed at.
         aim: x, y of the vertex it is aimed at, steps per metre by Manhattan and by Euclidean distance.
         ahead: at least so many steps from the vertex it is aimed at over each edge, shape (m,); (0,) if not known.
     """
@@ -74,7 +74,7 @@ class Distances:
         )
         self.blocked: NDArray[np.uint8] = np.zeros(len(space.lanes.xy), dtype=np.uint8)
         self.counters: NDArray[np.int64] = np.zeros(4, dtype=np.int64)
-        self._fields: OrderedDict[tuple[int, bool], Field] = OrderedDict()
+        self._fields: OrderedDict[tuple[int, bool, int], Field] = OrderedDict()
         self._cap = max(64, max_bytes // (16 * max(1, len(space.lanes.tail))))
 
     def update(self, blocked: NDArray[np.uint8]) -> None:
@@ -89,7 +89,7 @@ class Distances:
     def field(self, goal: int, loaded: bool, asker: int) -> Field:
         """The field of a goal, new ones aimed at the vertex ``asker``."""
         loaded = loaded and self._speeds_differ
-        key = (goal, loaded)
+        key = (goal, loaded, asker if asker in self._hubs else -1)
         field = self._fields.get(key)
         if field is None:
             field = self._new_field(goal, loaded, asker)
@@ -121,7 +121,7 @@ class Distances:
         s = self.space
         field = Field(
             np.zeros((len(s.lanes.tail), 4), dtype=np.int32),
-            np.array([0, goal, loaded], dtype=np.int32),
+            np.array([0, goal, loaded, asker], dtype=np.int32),
             np.array([*s.lanes.xy[asker], *s.rates[int(loaded)]]),
             self._ahead(asker, loaded) if asker in self._hubs else np.zeros(0, dtype=np.int32),
         )
@@ -137,9 +137,7 @@ class Distances:
 
 
 @njit(cache=True)
-def _forward(
-    hub: int, loaded: bool, lanes: Lanes, ends: NDArray[np.uint8], counters: NDArray[np.int64]
-) -> IntArray:
+def _forward(hub: int, loaded: bool, lanes: Lanes, ends: NDArray[np.uint8], counters: NDArray[np.int64]) -> IntArray:
     """Dijkstra from a vertex over edges: least steps until each edge has been driven, the first without a turn."""
     row = int(loaded)
     g = np.full(len(lanes.tail), FOREVER, dtype=np.int32)
@@ -173,43 +171,69 @@ def distance_from(
     vertex: int, in_edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]
 ) -> int:
     """Remaining steps from a vertex entered over ``in_edge``; -1 for an AGV whose first move needs no turn."""
-    if vertex == field.meta[GOAL]:
+    meta = field.meta
+    if vertex == meta[GOAL]:
         return 0
-    if in_edge >= 0:
+    if in_edge >= 0 and vertex != meta[AIM]:
         return settle(in_edge, field, lanes, blocked, counters)
-    best = FOREVER
-    for e in range(lanes.first_out[vertex], lanes.first_out[vertex + 1]):
-        if _may_enter(lanes.head[e], field, blocked):
-            h = settle(e, field, lanes, blocked, counters)
-            best = min(best, h + lanes.edge_steps[field.meta[LOADED], e])
-    return best
+    while True:
+        best, open_turn = _best_way_out(vertex, in_edge, field, lanes, blocked)
+        if open_turn >= NEVER or meta[SIZE] == 0:
+            return best
+        # Whatever leaves over an edge not closed yet needs at least the least f of OPEN, if the search is aimed here.
+        if vertex == meta[AIM] and best <= field.states[field.states[0, OPEN], F] - 1 + open_turn:
+            return best
+        _close_next(field, lanes, blocked, counters)
+
+
+@njit(cache=True)
+def _best_way_out(vertex: int, in_edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8]) -> tuple[int, int]:
+    """Remaining steps over the best closed edge, and the least turn towards one not closed, ``NEVER`` if all are."""
+    states, loaded = field.states, field.meta[LOADED]
+    best, open_turn = FOREVER, NEVER
+    first = lanes.first_out[vertex]
+    for e in range(first, lanes.first_out[vertex + 1]):
+        turn = 0 if in_edge < 0 else lanes.turn_steps[loaded, lanes.first_transition[in_edge] + e - first]
+        if turn >= NEVER or not _may_enter(lanes.head[e], field, blocked):
+            continue
+        if states[e, PLACE] == -1:
+            best = min(best, turn + lanes.edge_steps[loaded, e] + states[e, G] - 1)
+        else:
+            open_turn = min(open_turn, turn)
+    return best, open_turn
 
 
 @njit(cache=True)
 def settle(edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]) -> int:
     """Resume the search until ``edge`` is closed; its remaining steps, ``FOREVER`` if OPEN runs empty before."""
+    while field.states[edge, PLACE] != -1:
+        if field.meta[SIZE] == 0:
+            return FOREVER
+        _close_next(field, lanes, blocked, counters)
+    return int(field.states[edge, G]) - 1
+
+
+@njit(cache=True)
+def _close_next(field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]) -> None:
+    """Close the first edge of OPEN, and open those from which it can be reached."""
     states, meta = field.states, field.meta
     loaded = meta[LOADED]
-    while states[edge, PLACE] != -1:
-        if meta[SIZE] == 0:
-            return FOREVER
-        out = _pop(states, meta, counters)
-        counters[EXPANDED] += 1
-        counters[VALID] += 1
-        if not _may_enter(lanes.head[out], field, blocked):
+    out = _pop(states, meta, counters)
+    counters[EXPANDED] += 1
+    counters[VALID] += 1
+    if not _may_enter(lanes.head[out], field, blocked):
+        return
+    v = lanes.tail[out]
+    for i in range(lanes.first_in[v], lanes.first_in[v + 1]):
+        e = lanes.in_edges[i]
+        if states[e, PLACE] == -1:
             continue
-        v = lanes.tail[out]
-        for i in range(lanes.first_in[v], lanes.first_in[v + 1]):
-            e = lanes.in_edges[i]
-            if states[e, PLACE] == -1:
-                continue
-            turn = lanes.turn_steps[loaded, lanes.first_transition[e] + out - lanes.first_out[v]]
-            if turn >= NEVER:
-                continue
-            g = states[out, G] + lanes.edge_steps[loaded, out] + turn
-            if states[e, G] == 0 or g < states[e, G]:
-                _push(e, g, _estimate(e, field, lanes), states, meta, counters)
-    return int(states[edge, G]) - 1
+        turn = lanes.turn_steps[loaded, lanes.first_transition[e] + out - lanes.first_out[v]]
+        if turn >= NEVER:
+            continue
+        g = states[out, G] + lanes.edge_steps[loaded, out] + turn
+        if states[e, G] == 0 or g < states[e, G]:
+            _push(e, g, _estimate(e, field, lanes), states, meta, counters)
 
 
 @njit(cache=True)

@@ -11,12 +11,14 @@ A path ends
   ``no_rest`` holds; or at the vertex that it would leave just then, f = t + h of the next one.
 
 The exact distance of a state is only asked for when its turn comes, until then a bound below it serves (Tolpin et al.
-2013, lazy A*): most of the graph around the path is never searched.
+2013, lazy A*): most of the graph around the path is never searched. A complete path may be looked for with ``slack``:
+a state whose distance is not known yet goes by its bound, dearer by the slack, and nothing is asked for. A wait or a
+little detour by known states then does not set off a search of everything around.
 
 Departures from the papers: turns take time before a departure; with ``following`` False an agent owns both ends of an
 edge while it drives; with ``following`` True a move that would close a ring of agents, each entering the vertex that
 the next one leaves in the same step (a swap is the ring of two), is not allowed.
-Guarantee: the path of least f, or none if there is none. Ties: smaller f, exact h before a bound,
+Guarantee: the path of least f, with slack at most so much more, or none if there is none. Ties: smaller f, exact h before a bound,
 larger g, the older state.
 """
 
@@ -42,7 +44,7 @@ from sumo_nets.graph import IntArray
 EDGE, VERTEX, SLOT, T, LEAVE, LAST, H, FKEY, PARENT, OLDER, STALE, FINAL, EXACT = range(13)
 
 #: Places of the query that the kernel reads.
-Q_VERTEX, Q_EDGE, Q_READY, Q_GOAL, Q_LOADED, Q_WINDOW, Q_PENALTY, Q_FOLLOWING, Q_LIMIT = range(9)
+Q_VERTEX, Q_EDGE, Q_READY, Q_GOAL, Q_LOADED, Q_WINDOW, Q_PENALTY, Q_FOLLOWING, Q_LIMIT, Q_SLACK = range(10)
 
 #: What the kernel answers instead of a node number.
 NONE, FULL, LIMIT = -1, -2, -3
@@ -72,14 +74,16 @@ class PathSearch:
 
     Args:
         distances: the exact distances of the garage, shared with whoever else needs them.
+        slack: steps by which complete paths may be later than the quickest ones.
 
     Attributes:
         blocker: after a search without a path the agent whose reservation cut off the last possibility, else -1.
         limited: the last search ended at ``max_expansions``.
     """
 
-    def __init__(self, distances: Distances) -> None:
+    def __init__(self, distances: Distances, slack: int = 0) -> None:
         self.distances = distances
+        self.slack = slack
         self.blocker = -1
         self.limited = False
         self._memory = _new_memory(1024, len(distances.space.lanes.tail))
@@ -132,7 +136,7 @@ class PathSearch:
         window = min(problem.window_steps, FOREVER)
         query = np.array(
             (agent.vertex, agent.in_edge, agent.ready_step, goal, agent.loaded, window, window // 4,
-             problem.motion.following, min(max_expansions, FOREVER)),
+             problem.motion.following, min(max_expansions, FOREVER), self.slack if window == FOREVER else 0),
             dtype=np.int32,
         )  # fmt: skip
         d = self.distances
@@ -190,6 +194,8 @@ def _sipp(
     h = 0
     if goal >= 0:
         h = distance_from(start, query[Q_EDGE], field, lanes, blocked, counters)
+        if h >= FOREVER:
+            return NONE
     _generate(-1, start, 0, query[Q_READY], 0, _safe_until(rows, count, start, 0, window), h, True, -1,
               query, no_rest, memory, counters)  # fmt: skip
     expanded = 0
@@ -198,7 +204,7 @@ def _sipp(
         if wait_node >= 0 and wait_f <= nodes[n, FKEY]:
             break
         _pop(memory, counters)
-        if goal >= 0 and not nodes[n, STALE] and not nodes[n, EXACT]:
+        if goal >= 0 and not nodes[n, STALE] and not nodes[n, EXACT] and query[Q_SLACK] == 0:
             h = settle(nodes[n, EDGE], field, lanes, blocked, counters)
             if h >= FOREVER:
                 continue
@@ -301,7 +307,7 @@ def _generate(
     nodes[n, LEAVE] = leave
     nodes[n, LAST] = last
     nodes[n, H] = h
-    nodes[n, FKEY] = t + h
+    nodes[n, FKEY] = t + h if exact else t + h + query[Q_SLACK]
     nodes[n, PARENT] = parent
     nodes[n, OLDER] = older
     nodes[n, STALE] = 0
