@@ -71,9 +71,8 @@ def test_improvement_keeps_plans_free_of_conflicts_and_never_makes_them_later():
         carrying = tuple(a for a in agents if a.agv in plain.paths)
         fixed = tuple(plain.paths.get(path.agv, path) for path in fixed)
         late = replace(p, agents=tuple(a for a in agents if a not in carrying), carrying=carrying, fixed=fixed)
-        results = [
-            load_planner("token", p.graph, p.motion, {"improvements": n, "late_moves": 0, "slack_moves": 0})(late) for n in (0, 20)
-        ]
+        exact = {"late_moves": 0, "slack_moves": 0}
+        results = [load_planner("token", p.graph, p.motion, exact | {"improvements": n})(late) for n in (0, 20)]
         assert [violations(lambda _, r=r: r, late) for r in results] == [[], []]
         assert results[0].failed.keys() == results[1].failed.keys()
         assert results[0].paths.keys() <= results[1].paths.keys()

@@ -18,8 +18,8 @@ little detour by known states then does not set off a search of everything aroun
 Departures from the papers: turns take time before a departure; with ``following`` False an agent owns both ends of an
 edge while it drives; with ``following`` True a move that would close a ring of agents, each entering the vertex that
 the next one leaves in the same step (a swap is the ring of two), is not allowed.
-Guarantee: the path of least f, with slack at most so much more, or none if there is none. Ties: smaller f, exact h before a bound,
-larger g, the older state.
+Guarantee: the path of least f, with slack at most so much more, or none if there is none. Ties: smaller f, exact h
+before a bound, larger g, the older state.
 """
 
 from __future__ import annotations
