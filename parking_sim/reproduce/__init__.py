@@ -48,3 +48,11 @@ def two_stage_ga(full: Full = False, out: Out = None) -> None:
     from parking_sim.reproduce.two_stage_ga import reproduce
 
     reproduce(out or Path("runs/reproduce/two-stage-ga"), full)
+
+
+@app.command("lg")
+def lg(full: Full = False, out: Out = None) -> None:
+    """Online MAPF with and without replanning: ten robots on a one-line grid (paper 000)."""
+    from parking_sim.reproduce.lg import reproduce
+
+    reproduce(out or Path("runs/reproduce/lg"), full)
