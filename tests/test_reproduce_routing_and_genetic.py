@@ -1,7 +1,6 @@
 """The quick forms of the reproductions of papers 003 and 004, and the statistics below them."""
 
 import csv
-import importlib
 import itertools
 
 import numpy as np
@@ -40,9 +39,7 @@ def test_binary_tree_quick(tmp_path, capsys):
     assert (tmp_path / "binary-tree.svg").stat().st_size > 10_000
 
 
-def test_two_stage_ga_with_few_instances(tmp_path, monkeypatch):
-    module = importlib.import_module("parking_sim.reproduce.two_stage_ga")
-    monkeypatch.setattr(module, "QUICK", (2, 0.1))
+def test_two_stage_ga_quick(tmp_path):
     assert call("reproduce", "two-stage-ga", "--out", str(tmp_path)) == 0
     rows = rows_of(tmp_path / "two-stage-ga.csv")
     assert rows["20 robots: collisions, single"]["paper"] == "1.37"
@@ -50,9 +47,9 @@ def test_two_stage_ga_with_few_instances(tmp_path, monkeypatch):
     assert (tmp_path / "two-stage-ga.svg").stat().st_size > 10_000
     with (tmp_path / "two-stage-ga-runs.csv").open(encoding="utf-8") as file:
         runs = list(csv.DictReader(file))
-    assert len(runs) == 2 * 5 * 3
+    assert len(runs) == 4 * 5 * 3
     work = {(r["robots"], r["instance"], r["method"]): float(r["work"]) - float(r["stop"]) for r in runs}
-    for n, k in itertools.product(("5", "10", "15", "20", "25"), "01"):
+    for n, k in itertools.product(("5", "10", "15", "20", "25"), "0123"):
         assert work[n, k, "single"] == pytest.approx(work[n, k, "two-stage"], abs=1e-3)
 
 
