@@ -12,8 +12,9 @@ $(STAMP): pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	touch $@
 
-$(VENV)/.nets: $(STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[nets]'
+# netconvert for the nets; the tests use all extras
+$(VENV)/.extras: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[nets,cluster,tune]'
 	touch $@
 
 ## run the three garages, park every car and bring every car back, write the report
@@ -32,11 +33,11 @@ $(VENV)/.browser: $(STAMP)
 	  echo "no Chromium: install it, or set PARKING_SIM_NO_BROWSER=1 to leave out the tests of pages"
 	touch $@
 
-test: lint $(VENV)/.nets $(VENV)/.browser
+test: lint $(VENV)/.extras $(VENV)/.browser
 	$(BIN)/python -m pytest -n 2
 
 ## rebuild the committed nets from their layouts
-nets: $(VENV)/.nets
+nets: $(VENV)/.extras
 	$(BIN)/parking-sim build-net --all
 
 clean:
