@@ -169,6 +169,10 @@ class Executor:
                 self._due.add(self.order[v][0])
         self.agvs[agv].pending.clear()
 
+    def reconsider(self, agv: int) -> None:
+        """See in the next call of ``grants`` whether this AGV can go on: an order has been changed for it."""
+        self._due.add(agv)
+
     def act(self, agv: int, action: Action, steps: int, step: int, car: str = "") -> Act:
         """Start an action of a standing AGV and return the command for it.
 

@@ -14,6 +14,8 @@ from controller.deadlock.ladder import Ladder, LadderLimits
 from controller.deadlock.waits import Progress, WaitGraph, wait_graph
 from controller.executor import Executor
 from controller.fleet import Agv, priority
+from controller.reordering import reorder
+from controller.replanning import anybody_stands, waits_ahead, without_plan
 from controller.rules import Rules
 from controller.types import FOREVER, AgvMode, Counters, Path, PlanAgent, Planner, PlanningProblem, PlanResult
 from controller.visits import retime
@@ -31,6 +33,12 @@ class ControlOptions:
 
     Attributes:
         period_steps: replanning period.
+        replanning: when to plan: "periodic" is every period and for a new goal; "events" is for a new goal, a predicted
+            collision, a plan that has come to its end, and a time-out of those who stand; "both" is all of these.
+        look_ahead_steps: how far ahead collisions are predicted.
+        timeout_steps: plan after so long while somebody stands who has somewhere to go.
+        watch_steps: how often events and orders are looked at.
+        reorder: let AGVs that wait for a late one go first where that pays.
         window_cells: planning window at the start, in moves of ``Rules.cell_steps``; planners of
             complete paths have none.
         window_min, window_max, window_step: the window adapts between these.
@@ -40,6 +48,11 @@ class ControlOptions:
     """
 
     period_steps: int
+    replanning: str = "periodic"
+    look_ahead_steps: int = 16
+    timeout_steps: int = 10
+    watch_steps: int = 2
+    reorder: bool = False
     window_cells: int = 5
     window_min: int = 5
     window_max: int = 11
@@ -106,6 +119,9 @@ class Planning:
         self._score = 0
         self._last = -options.period_steps
         self._changed = True
+        self._expected: frozenset[tuple[int, int]] = frozenset()
+        self._ended: frozenset[int] = frozenset()
+        self._meeting: frozenset[int] = frozenset()
         self.calls: list[PlanningCall] = []
         self.counters = Counters()
         self.slot_choice = 0
@@ -132,7 +148,9 @@ class Planning:
             blocked: vertices where nobody may drive, shape (n,).
             no_rest: makes the mask of vertices where nobody may rest whose goal it is not.
         """
-        if not self._changed and step - self._last < self._options.period_steps:
+        if self._options.reorder and step % self._options.watch_steps == 0:
+            self._reorder(step)
+        if not self._due(step):
             return
         self._last = step
         if not (self._changed or self._under_way()):
@@ -146,11 +164,37 @@ class Planning:
         if self._rules.resolve_deadlocks:
             self._watch(step, problem)
         wall_s = perf_counter() - start
+        if self._options.replanning != "periodic":
+            self._expect(step)
         status = result.status.value
         self.calls.append(
             PlanningCall(step, len(problem.agents), status, problem.window_steps, result.counters, wall_s)
         )
         self.counters.add(result.counters)
+
+    def _due(self, step: int) -> bool:
+        """An event or the clock asks for a plan."""
+        o = self._options
+        if self._changed or (o.replanning != "events" and step - self._last >= o.period_steps):
+            return True
+        if o.replanning == "periodic" or step % o.watch_steps:
+            return False
+        waits = waits_ahead(self._executor, step, o.look_ahead_steps, self._rules.cell_steps)
+        self._meeting = frozenset(agv for agv, _ in waits - self._expected)
+        ended = without_plan(self._executor, self._agvs)
+        timeout = step - self._last >= o.timeout_steps and anybody_stands(self._executor, self._agvs)
+        return bool(self._meeting or ended - self._ended or timeout)
+
+    def _expect(self, step: int) -> None:
+        """Take note of what the plan has in it: it is no event when it comes."""
+        self._expected = waits_ahead(self._executor, step, FOREVER, self._rules.cell_steps)
+        self._ended = without_plan(self._executor, self._agvs)
+        self._meeting = frozenset()
+
+    def _reorder(self, step: int) -> None:
+        cell = self._rules.cell_steps
+        for first, behind, gain in reorder(self._executor, step, cell, self._ladder.locked):
+            self._log("reordered", first, "", -1, {"before": behind, "gain_moves": round(gain / cell, 2)})
 
     def _under_way(self) -> bool:
         if self._ladder.resolving:
@@ -166,7 +210,7 @@ class Planning:
         if not self._complete:
             return free
         ends = [a.pending[-1] if a.pending else a.last for a in self._executor.agvs]
-        return [agv for agv in free if ends[agv.number] != agv.goal]
+        return [agv for agv in free if ends[agv.number] != agv.goal or agv.number in self._meeting]
 
     def _problem(self, step: int, blocked: Mask, no_rest: Mask) -> PlanningProblem:
         ex, locked = self._executor, self._ladder.locked

@@ -183,6 +183,11 @@ def control_options(config: ControlConfig, cell_steps: int, step_s: float) -> Co
     )
     return ControlOptions(
         period_steps=steps(config.period_s) if step_s < 1 else 1,
+        replanning=config.replanning,
+        look_ahead_steps=steps(config.look_ahead_s) if step_s < 1 else 8 * cell_steps,
+        timeout_steps=steps(config.timeout_s) if step_s < 1 else 5 * cell_steps,
+        watch_steps=steps(1.0) if step_s < 1 else 1,
+        reorder=config.reorder,
         window_cells=config.window_cells,
         window_min=config.window_min,
         window_max=config.window_max,

@@ -45,6 +45,20 @@ class ControlConfig(_Options):
     """The controller's clock, window and limits. Defaults are the thesis's where it gives a value."""
 
     period_s: float = Field(default=5.0, gt=0, description="replanning period, seconds")
+    replanning: Literal["periodic", "events", "both"] = Field(
+        default="periodic",
+        description="when to plan: every period and for new goals; at events (new goal, predicted collision, end of a"
+        " plan, time-out); or both",
+    )
+    look_ahead_s: float = Field(default=8.0, gt=0, description="events: collisions are predicted so far ahead, seconds")
+    timeout_s: float = Field(
+        default=5.0,
+        gt=0,
+        description="events: plan after so long while somebody stands who has somewhere to go, seconds",
+    )
+    reorder: bool = Field(
+        default=False, description="AGVs that wait behind a late one go first where that pays: orders are switched"
+    )
     window_cells: int = Field(default=5, ge=1, description="planning window at the start, moves over an aisle cell")
     window_min: int = Field(default=5, ge=1, description="least window, moves")
     window_max: int = Field(default=11, ge=1, description="greatest window, moves")

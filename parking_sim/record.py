@@ -156,6 +156,7 @@ KINDS: Mapping[str, str] = {
     "car_left": "a retrieved car has left the garage: request",
     "agv_mode": "an AGV changes its state: from, to",
     "plan_partial": "a planning call left agents without a path: failed (AGV numbers)",
+    "reordered": "an AGV goes before one that is late: before (its number), gain_moves (of all together)",
     "plan_rejected": "a plan was refused by the executor's check: reason",
     "deadlock_found": "AGVs wait for each other or come no nearer to their goals: deadlock (number), members (AGV "
     "numbers), cause (ring, idle or stuck), waits (AGV -> AGV it waits for), wants (AGV -> name of the next vertex), "

@@ -1,0 +1,68 @@
+"""Events that ask for a new plan (Shin et al. 2022, section 3): what can be seen of them in the executor.
+
+New goals are told by the ACS. The rest is here: collisions predicted within a look-ahead, plans that have come to their
+end, and AGVs that stand though they have somewhere to go. The executor never lets two AGVs meet, so a collision to come
+shows as a wait to come: by the orders and times of now, an AGV will have to wait where its plan did not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+
+from controller.executor import Executor
+from controller.fleet import Agv
+from controller.types import Path
+from controller.visits import retime
+
+#: A wait is one from so many moves on.
+LEAST_WAIT_MOVES = 0.5
+
+
+def waits_ahead(executor: Executor, step: int, within: int, cell_steps: int) -> frozenset[tuple[int, int]]:
+    """Where AGVs will have to wait for others.
+
+    Args:
+        executor: with its accepted orders.
+        step: now.
+        within: how far to look ahead, steps.
+        cell_steps: steps of one ordinary move.
+
+    Returns:
+        AGV and the vertex before which it waits.
+    """
+    least = max(1, round(LEAST_WAIT_MOVES * cell_steps))
+    return frozenset(
+        (agv, vertex)
+        for agv, path in retime(executor, step).items()
+        for vertex, wait in _waits(executor, step, path, within)
+        if wait >= least
+    )
+
+
+def _waits(executor: Executor, step: int, path: Path, within: int) -> Iterator[tuple[int, int]]:
+    """Vertices a path waits for, and how long."""
+    a = executor.agvs[path.agv]
+    ready, in_edge = executor.ready_step(path.agv, step), a.in_edge
+    for i, vertex in enumerate(a.pending):
+        if ready > within:
+            return
+        if i + 1 == len(path.vertices):  # cut: whoever is there has no plan to leave
+            yield vertex, within
+            return
+        edge = executor.graph.edge_index[path.vertices[i], vertex]
+        if i or a.turned_to != vertex:
+            ready += executor.motion.turn(executor.graph, in_edge, edge, a.loaded)
+        yield vertex, path.depart[i] - ready
+        ready, in_edge = path.arrive[i + 1], edge
+
+
+def without_plan(executor: Executor, agvs: Collection[Agv]) -> frozenset[int]:
+    """AGVs whose plan has come to its end, but not to their goal."""
+    states = ((agv, executor.agvs[agv.number]) for agv in agvs if not agv.immobile)
+    return frozenset(agv.number for agv, a in states if not a.pending and a.last != agv.goal)
+
+
+def anybody_stands(executor: Executor, agvs: Collection[Agv]) -> bool:
+    """An AGV stands though it has somewhere to go."""
+    states = ((agv, executor.agvs[agv.number]) for agv in agvs if not agv.immobile)
+    return any(a.standing and a.acting_until < 0 and a.last != agv.goal for agv, a in states)
