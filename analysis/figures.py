@@ -33,6 +33,8 @@ GREY, INK = "#8a8f98", "#010203"  # INK is an unused near-black that becomes cur
 ACTIVITY_COLORS = dict(zip(ACTIVITIES, (SKY, BLUE, PINK, GREEN, YELLOW, RED, ORANGE, "#c4c8ce"), strict=True))
 WIDTH_IN = 7.4
 _MAX_POINTS = 400
+#: Vertices up to which two floor plans side by side can be read.
+_MAX_SIDE_BY_SIDE = 300
 _STYLE: dict[Any, Any] = {
     "font.size": 9,
     "font.family": "sans-serif",
@@ -261,7 +263,7 @@ def draw_floor(run: Run) -> Figure | None:
     lanes = run.edges[["tail", "head"]].to_numpy()
     size = _cell_sizes(xy)
     spread = np.ptp(xy, axis=0) + 5.0
-    wide = spread[0] > 1.4 * spread[1]
+    wide = spread[0] > 1.4 * spread[1] or len(xy) > _MAX_SIDE_BY_SIDE
     panel = min(5.5, (WIDTH_IN - 0.9) * spread[1] / spread[0] if wide else 0.45 * WIDTH_IN * spread[1] / spread[0])
     figure, panels = new_figure((panel + 0.3) * (2 if wide else 1), rows=2 if wide else 1, columns=1 if wide else 2)
     titles = "driving: AGV-minutes", "standing with a task: AGV-minutes"
@@ -302,7 +304,7 @@ FIGURES: Mapping[str, tuple[str, str, Callable[[Run], Any]]] = {
     ),
     "floor": (
         "Where it is busy",
-        "Time that AGVs drove and stood at each place, from the sampled trajectory. B: bays; C: chargers; H: homes.",
+        "Time that AGVs drove and stood at each place, from the sampled trajectory. B: bays; C: chargers; dots: homes.",
         draw_floor,
     ),
     "deadlocks": (
@@ -446,20 +448,22 @@ def _lines(xy: NDArray[np.float64], lanes: NDArray[np.int32]) -> NDArray[np.floa
 def _squares(xy: NDArray[np.float64], size: NDArray[np.float64], values: NDArray[np.float64]) -> Any:
     """Coloured squares at the vertices with something to show; the scale ends at the 99 % quantile."""
     from matplotlib.collections import PolyCollection
-    from matplotlib.colors import Normalize
+    from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba
 
+    # from hardly there to solid, so that the busiest places stand out on a light and on a dark page
+    colors = LinearSegmentedColormap.from_list("heat", [to_rgba(ORANGE, 0.2), to_rgba(RED, 1.0)])
     shown = values > 0.0
     corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
     squares = xy[shown, None, :] + corners[None, :, :] * size[shown, None, None]
     top = float(np.quantile(values[shown], 0.99)) if shown.any() else 1.0
-    heat = PolyCollection(list(squares), array=values[shown], cmap="YlGnBu", norm=Normalize(0.0, max(top, 1e-9)))
+    heat = PolyCollection(list(squares), array=values[shown], cmap=colors, norm=Normalize(0.0, max(top, 1e-9)))
     heat.set_linewidth(0.0)
     heat.set_rasterized(True)
     return heat
 
 
 def _marks(axes: Axes, vertices: pd.DataFrame) -> None:
-    """Letters at bays, chargers and homes."""
+    """Letters at bays and chargers, dots at homes."""
     paper = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
     text: dict[str, Any] = {
         "ha": "center",
@@ -469,7 +473,13 @@ def _marks(axes: Axes, vertices: pd.DataFrame) -> None:
         "clip_on": True,
         "bbox": paper,
     }
-    for letter, role, color in (("H", "home", "black"), ("C", "charger", RED), ("B", "bay", BLUE)):
-        chosen = vertices[[role in roles.split(",") for roles in vertices["roles"]]]
+
+    def having(role: str) -> pd.DataFrame:
+        return vertices[[role in roles.split(",") for roles in vertices["roles"]]]
+
+    homes = having("home")
+    axes.plot(homes["x_m"], homes["y_m"], "o", color=GREY, markersize=1.6)
+    for letter, role, color in (("C", "charger", RED), ("B", "bay", BLUE)):
+        chosen = having(role)
         for x, y in zip(chosen["x_m"], chosen["y_m"], strict=True):
             axes.text(x, y, letter, color=color, **text)

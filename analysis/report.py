@@ -326,17 +326,21 @@ def _reason(row: Mapping[Any, Any]) -> str:
 def _asked(scenario: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The scenario as rows: plain keys first, then one row for each group of keys."""
     plain = [(key, _shown(value)) for key, value in scenario.items() if not isinstance(value, Mapping)]
-    groups = [
-        (key, ", ".join(f"{name} {_shown(item)}" for name, item in value.items()))
-        for key, value in scenario.items()
-        if isinstance(value, Mapping)
-    ]
+    groups = [(key, _listed(value)) for key, value in scenario.items() if isinstance(value, Mapping)]
     return [*plain, *(group for group in groups if group[1])]
+
+
+def _listed(group: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} {_shown(item)}" for name, item in group.items())
 
 
 def _shown(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if isinstance(value, Mapping):
+        return f"({_listed(value)})"
+    if isinstance(value, list):
+        return "; ".join(map(_shown, value)) or "–"
     return f"{value:.10g}" if isinstance(value, float) else "–" if value is None else str(value)
 
 

@@ -41,6 +41,7 @@ def test_report_holds_the_headline_numbers(folder: Path, page: str) -> None:
         "Seed 7.",
         "1.28.0",
         "kind poisson, per_hour 60",
+        "commands (late 0, late_s 3), script –",
         "tasks.parquet",
     ):
         assert needed in page
