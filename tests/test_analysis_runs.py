@@ -64,7 +64,10 @@ def synthetic_meta(hours: float = 2.0) -> dict[str, Any]:
         "map": "map1",
         "seed": 7,
         "scenario": {
-            **{"garage": "map1", "agvs": 6, "planner": "whca", "workload": {"kind": "poisson", "per_hour": 60}},
+            "garage": "map1",
+            "agvs": 6,
+            "planner": "whca",
+            "workload": {"kind": "poisson", "per_hour": 60},
             "faults": {"commands": {"late": 0.0, "late_s": 3.0}, "script": []},
         },
         "versions": {"parking-sim": "0.1.0", "python": "3.11.2", "libsumo": "1.28.0", "numpy": "2.4.6"},
