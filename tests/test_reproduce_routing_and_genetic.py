@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+import sys
 
 import numpy as np
 import pytest
@@ -108,3 +109,17 @@ def test_route_and_turns(capsys):
     assert call("turns", "map1") == 0
     assert "turns can be driven" in capsys.readouterr().out
     assert call("turns", "map1", "--wheelbase", "12", "--steer", "40") == 1
+
+
+def test_only_the_first_instances(tmp_path, monkeypatch):
+    class AskedError(Exception):
+        pass
+
+    def ask(instances, limit_s):
+        raise AskedError((instances, limit_s))
+
+    monkeypatch.setattr(sys.modules["parking_sim.reproduce.two_stage_ga"], "run_experiment", ask)
+    for words, asked in ((["--full"], (100, 3.0)), (["--full", "--instances", "3"], (3, 3.0)), ([], (4, 0.5))):
+        with pytest.raises(AskedError) as caught:
+            main(["reproduce", "two-stage-ga", *words, "--out", str(tmp_path)])
+        assert caught.value.args == (asked,)

@@ -43,11 +43,15 @@ def binary_tree(full: Full = False, out: Out = None) -> None:
 
 
 @app.command("two-stage-ga")
-def two_stage_ga(full: Full = False, out: Out = None) -> None:
+def two_stage_ga(
+    full: Full = False,
+    instances: Annotated[int | None, typer.Option(help="Only the first so many instances of each kind.", min=2)] = None,
+    out: Out = None,
+) -> None:
     """One-stage and two-stage genetic algorithms and CBS on a lattice of 5 x 8 intersections (paper 004)."""
     from parking_sim.reproduce.two_stage_ga import reproduce
 
-    reproduce(out or Path("runs/reproduce/two-stage-ga"), full)
+    reproduce(out or Path("runs/reproduce/two-stage-ga"), full, instances)
 
 
 @app.command("lg")

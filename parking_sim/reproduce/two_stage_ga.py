@@ -37,19 +37,20 @@ _MEASURES = {"collisions": "collisions", "work": "work time, steps", "stop": "st
 TIMED_ROBOTS, TIMED_SHARE = 20, 0.1
 
 
-def reproduce(folder: Path, full: bool) -> None:
+def reproduce(folder: Path, full: bool, first: int | None = None) -> None:
     """Run the experiment, print the table and write it with the runs and the figure.
 
     Args:
         folder: where ``two-stage-ga.csv``, ``.md``, ``-runs.csv`` and ``.svg`` go.
         full: 100 instances for each number of robots as in the paper, and 3 s for CBS; else 4 and 0.5 s.
+        first: only so many of these instances, the first ones.
 
     Raises:
         InputError: the folder can't be written.
     """
     make_folder(folder)
     instances, limit_s = FULL if full else QUICK
-    runs, histories = run_experiment(instances, limit_s)
+    runs, histories = run_experiment(min(instances, first or instances), limit_s)
     findings = [*compare(runs, limit_s)]
     runs.to_csv(folder / "two-stage-ga-runs.csv", index=False, float_format="%.6g")
     write_findings(findings, folder, "two-stage-ga")
