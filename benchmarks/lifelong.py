@@ -131,8 +131,12 @@ class Lifelong:
         """Steps that all tasks given so far take without conflicts."""
         return sum(int(self.costs.to(goal)[start]) for start, goal in self.trips)
 
+    def states(self, step: int) -> list[AgvState]:
+        """What is seen of the AGVs."""
+        return [AgvState(n, c, c, True) for n, c in enumerate(self.count)]
+
     def _tick(self, step: int) -> None:
-        self.executor.update([AgvState(n, c, c, True) for n, c in enumerate(self.count)], step)
+        self.executor.update(self.states(step), step)
         for agv in self.agvs:
             if self.executor.agvs[agv.number].last == agv.goal:
                 self.done += 1

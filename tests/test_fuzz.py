@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import os
 import random
+import shutil
+import signal
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
@@ -17,6 +19,7 @@ import yaml
 
 from demand.csv_file import Csv
 from parking_sim.assembly import assemble
+from parking_sim.cli import main
 from parking_sim.config import check_scenario, load_scenario, read_yaml
 from parking_sim.errors import InputError
 from sumo_nets.layout import LayoutError, parse_layout
@@ -24,6 +27,8 @@ from sumo_nets.plan import plan_garage
 from sumo_nets.read import NetError
 
 MUTANTS = int(os.environ.get("FUZZ", "150"))
+#: Mutants of each scenario that are run from the command line, and seconds after which one hangs.
+RUNS, HANGS_S = max(1, MUTANTS // 30), 120
 INF = float("inf")
 ODD: tuple[Any, ...] = (-1, 0, 0.5, 1e300, INF - INF, INF, "", "x", None, [], {}, True, 10**30, "\u2603", [[]])
 SCENARIOS = sorted(p.name for p in files("parking_sim").joinpath("scenarios").iterdir() if p.name.endswith(".yaml"))
@@ -102,6 +107,43 @@ def test_garbled_scenario_files_are_taken_or_refused(name, tmp_path):
             load_scenario(path)
         except InputError as error:
             said_in_one_line(error)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_mutated_scenarios_run_or_leave_nothing(name, tmp_path, capsys):
+    """From the command line, a minute each: a record, or one line, exit code 2 and no folder."""
+    source = Path(str(files("parking_sim").joinpath("scenarios", name)))
+    shutil.copy(source.with_name("gate_log.csv"), tmp_path)
+    short = {
+        "garage": "map1_thesis",
+        "agvs": 3,
+        "plant": "discrete",
+        "duration_s": 60.0,
+        "faults": {"stop": {"per_h": 9}},
+    }
+    good = {**read_yaml(source), **short, "record": {"replay": False, "sample_s": 5.0}}
+    rng = random.Random(name)
+    mutants = (mutate(good, rng) for _ in range(RUNS))
+    for number, mutant in enumerate(m for m in mutants if isinstance(m, dict)):
+        out = tmp_path / f"run{number}"
+        (tmp_path / name).write_text(yaml.safe_dump(ended(mutant)), encoding="utf-8")
+        signal.alarm(HANGS_S)
+        with pytest.raises(SystemExit) as end:
+            main(["run", str(tmp_path / name), "--out", str(out), "--no-report", "-q"])
+        signal.alarm(0)
+        said = capsys.readouterr().err
+        assert end.value.code in (0, 1, 2)
+        assert (out / "run.json").is_file() == (end.value.code != 2)
+        assert out.exists() == (end.value.code != 2)
+        assert (said.count("\n") == 1 and said.startswith("error: ")) == (end.value.code == 2)
+
+
+def ended(mutant: dict[str, Any]) -> dict[str, Any]:
+    """The mutant with an end not far off, unless what says so has become nonsense."""
+    asked = mutant.get("duration_s", 60.0)
+    return (
+        {**mutant, "duration_s": 60.0} if asked is None or (isinstance(asked, int | float) and asked > 60) else mutant
+    )
 
 
 def layouts() -> Iterator[str]:

@@ -1,0 +1,259 @@
+"""What stops and delays cost: throughput kept under random stops, and under noise for each way to replan.
+
+    python benchmarks/stops.py [--part warehouse,map3,noise] [--planner whca,token] [--seeds 3]
+                               [--csv FILE] [--figure FILE]
+
+- *warehouse*: lifelong tasks on a warehouse grid, a cell a tick (see ``lifelong.py``); AGVs stop for 2 to 8 ticks.
+- *map3*: SUMO, all cars wanted in at once; AGVs stop for as long as 2 to 8 moves take.
+- *noise*: SUMO, map2; log-normal noise on the time of each move, replanning periodically, at events or both, with
+  orders kept and with orders switched.
+
+Stops take about 14 % of the AGVs' time, nobody is told of them. Runs are paired: the same seed, so the same tasks and
+stops, or moves. As an AGV that stops does nothing, ``ceiling`` is what is left of its time: a fleet that is never idle
+can't keep more, one that waits for bays or customers can.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import random
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+from lifelong import Lifelong, warehouse
+
+from analysis.measures import interval
+from controller.types import AgvState
+
+FLEETS = (8, 16, 32, 64)
+SHARE, MOVES = 0.14, (2, 8)
+TICKS, SECONDS = 600, 1200.0
+#: Seconds of a move in SUMO on map3: 7 m with a car.
+MOVE_S = 7.0
+SIGMAS = (0.0, 0.1, 0.2, 0.4)
+POLICIES = ("periodic", "events", "both")
+Row = dict[str, Any]
+
+
+class Stopping(Lifelong):
+    """Lifelong tasks of AGVs that stop now and then.
+
+    Attributes:
+        stood: ticks that AGVs stood because of a stop.
+    """
+
+    stood = 0
+
+    def stop(self, share: float, seed: int) -> None:
+        """Let each AGV stop for 2 to 8 ticks, in all for a share of its time."""
+        mean = sum(MOVES) / 2
+        self._stops = random.Random(seed)
+        self._chance = share / (1 - share) / mean
+        self._until = [0] * len(self.agvs)
+
+    def states(self, step: int) -> list[AgvState]:
+        """AGVs that stop take no orders."""
+        for n, until in enumerate(self._until):
+            if until <= step and self._stops.random() < self._chance:
+                self._until[n] = step + self._stops.randint(*MOVES)
+        able = [until <= step for until in self._until]
+        self.stood += able.count(False)
+        return [AgvState(n, c, c, True, able=able[n]) for n, c in enumerate(self.count)]
+
+
+def in_warehouse(planner: str, agvs: int, share: float, seed: int) -> Row:
+    """Tasks done on the warehouse grid, and the share of time that stops took."""
+    run = Stopping(warehouse(), agvs, planner, seed, {})
+    run.stop(share, seed)
+    run.run(TICKS)
+    return {"done": run.done, "stopped": run.stood / (agvs * TICKS)}
+
+
+def in_sumo(garage: str, agvs: int, planner: str, seed: int, faults: Row, control: Row) -> Row:
+    """Tasks done in a garage in SUMO, and the share of time that stops took."""
+    import duckdb
+
+    from parking_sim.config import check_scenario
+    from parking_sim.simulation import simulate
+
+    data: Row = {"garage": garage, "agvs": agvs, "planner": planner, "seed": seed, "duration_s": SECONDS}
+    data |= {"workload": {"kind": "park_exit"}, "faults": faults, "control": control, "record": {"sample_s": 60.0}}
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "run"
+        metrics = simulate(check_scenario(data, "stops", Path()), out).metrics
+        query = f"select time_s, kind, detail from '{out}/events.parquet' where kind like 'fault%'"
+        events = duckdb.sql(query).fetchall()
+    stood, begun = 0.0, {}
+    for time_s, kind, detail in events:
+        fault = json.loads(detail)
+        if fault["cause"] == "stop" and kind == "fault_start":
+            begun[fault["fault"]] = time_s
+        elif fault["cause"] == "stop":
+            stood += time_s - begun.pop(fault["fault"])
+    stood += sum(SECONDS - time_s for time_s in begun.values())
+    if metrics["sumo_collisions"] or metrics["footprint_overlaps"]:
+        raise RuntimeError(f"{garage}, {agvs} AGVs, seed {seed}: AGVs met")
+    return {"done": metrics["tasks_done"], "stopped": stood / (agvs * SECONDS)}
+
+
+def stops_in_sumo() -> Row:
+    """Stops as long as 2 to 8 moves that take ``SHARE`` of an AGV's time."""
+    least_s, most_s = (n * MOVE_S for n in MOVES)
+    per_h = 3600.0 * SHARE / (1 - SHARE) / ((least_s + most_s) / 2)
+    return {"stop": {"per_h": per_h, "least_s": least_s, "most_s": most_s}}
+
+
+def runs(parts: Sequence[str], planners: Sequence[str], seeds: int) -> Iterator[Row]:
+    """A row for each run; pairs differ in ``stops`` or ``control`` alone."""
+    for part in parts:
+        for planner in planners:
+            for key in noise_cases() if part == "noise" else stop_cases():
+                for seed in range(1, seeds + 1):
+                    yield {"part": part, "planner": planner, "seed": seed, **key, **_run(part, planner, seed, key)}
+
+
+def stop_cases() -> Iterator[Row]:
+    """Fleets with and without stops."""
+    for agvs in FLEETS:
+        for stops in (False, True):
+            yield {"agvs": agvs, "stops": stops, "sigma": 0.0, "replanning": "periodic", "reorder": False}
+
+
+def noise_cases() -> Iterator[Row]:
+    """Noise and the ways to answer it."""
+    for sigma in SIGMAS:
+        for replanning in POLICIES:
+            for reorder in (False, True):
+                yield {"agvs": 16, "stops": False, "sigma": sigma, "replanning": replanning, "reorder": reorder}
+
+
+def _run(part: str, planner: str, seed: int, key: Row) -> Row:
+    if part == "warehouse":
+        return in_warehouse(planner, key["agvs"], SHARE * key["stops"], seed)
+    faults: Row = stops_in_sumo() if key["stops"] else {"travel_noise": key["sigma"]}
+    control = {"replanning": key["replanning"], "reorder": key["reorder"]}
+    return in_sumo("map3" if part == "map3" else "map2", key["agvs"], planner, seed, faults, control)
+
+
+def print_stops(rows: Sequence[Row], part: str) -> None:
+    """Throughput kept under stops by fleet and planner; intervals over the pairs."""
+    print(
+        f"\n{part}\n\n| planner | AGVs | stopped | tasks without | with stops | kept | ceiling |"
+        + "\n|---"
+        + "|---" * 6
+        + "|"
+    )
+    for planner in dict.fromkeys(row["planner"] for row in rows):
+        for agvs in FLEETS:
+            same = [r for r in rows if (r["part"], r["planner"], r["agvs"]) == (part, planner, agvs)]
+            calm, hard = ({r["seed"]: r for r in same if r["stops"] is stops} for stops in (False, True))
+            if not hard:
+                continue
+            kept = interval([hard[s]["done"] / calm[s]["done"] for s in hard])
+            without, with_ = (np.mean([r["done"] for r in group.values()]) for group in (calm, hard))
+            stood = float(np.mean([r["stopped"] for r in hard.values()]))
+            words = f"{kept.mean:.0%} ({kept.low:.0%} to {kept.high:.0%})"
+            print(f"| {planner} | {agvs} | {stood:.1%} | {without:.0f} | {with_:.0f} | {words} | {1 - stood:.0%} |")
+
+
+def print_noise(rows: Sequence[Row]) -> None:
+    """Tasks by noise and policy, and what each changes against replanning periodically with orders kept."""
+    print(
+        "\n| planner | replanning | orders | "
+        + " | ".join(f"sigma {s:g}" for s in SIGMAS)
+        + " |\n|---"
+        + "|---" * 6
+        + "|"
+    )
+    for planner in dict.fromkeys(row["planner"] for row in rows):
+        done = {
+            (r["replanning"], r["reorder"], r["sigma"], r["seed"]): r["done"]
+            for r in rows if r["part"] == "noise" and r["planner"] == planner
+        }  # fmt: skip
+        seeds = sorted({key[3] for key in done})
+        for policy in POLICIES:
+            for reorder in (False, True):
+                cells = []
+                for sigma in SIGMAS:
+                    ours = [done[policy, reorder, sigma, s] for s in seeds]
+                    change = interval(
+                        [a / done["periodic", False, sigma, s] - 1 for a, s in zip(ours, seeds, strict=True)]
+                    )
+                    first = policy == "periodic" and not reorder
+                    words = "" if first else f" ({change.mean:+.1%}, {change.low:+.0%} to {change.high:+.0%})"
+                    cells.append(f"{np.mean(ours):.0f}{words}")
+                print(f"| {planner} | {policy} | {'switched' if reorder else 'kept'} | {' | '.join(cells)} |")
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Draw tasks done against noise, a panel for each planner."""
+    from matplotlib.figure import Figure
+
+    from analysis.figures import BLUE, GREEN, ORANGE, WIDTH_IN, style
+
+    noise = [r for r in rows if r["part"] == "noise"]
+    planners = list(dict.fromkeys(r["planner"] for r in noise))
+    with style():
+        figure = Figure(figsize=(WIDTH_IN, 3.0))
+        for axes, planner in zip(
+            figure.subplots(1, len(planners), sharey=True, squeeze=False)[0], planners, strict=True
+        ):
+            for policy, colour in zip(POLICIES, (BLUE, ORANGE, GREEN), strict=True):
+                for reorder in (False, True):
+                    ours = [
+                        r for r in noise if (r["planner"], r["replanning"], r["reorder"]) == (planner, policy, reorder)
+                    ]
+                    means = [np.mean([r["done"] for r in ours if r["sigma"] == sigma]) for sigma in SIGMAS]
+                    label = f"{policy}, orders {'switched' if reorder else 'kept'}"
+                    axes.plot(SIGMAS, means, "--s" if reorder else "-o", color=colour, markersize=4, label=label)
+            axes.set(title=f"{planner}: tasks in {SECONDS / 60:.0f} minutes", xlabel="sigma of the noise")
+        axes.legend(fontsize=7)
+        figure.savefig(path, metadata={"Date": None})
+
+
+def _write(row: Row, file: TextIO | None, header: bool) -> None:
+    print(
+        " ".join(f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}" for key, value in row.items()),
+        flush=True,
+    )
+    if file:
+        writer = csv.DictWriter(file, list(row))
+        if header:
+            writer.writeheader()
+        writer.writerow(row)
+        file.flush()
+
+
+def main() -> None:
+    """Make the runs, print the tables, draw the figure."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--part", default="warehouse,map3,noise")
+    parser.add_argument("--planner", default="whca,token")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--csv", type=Path)
+    parser.add_argument("--figure", type=Path)
+    given = parser.parse_args()
+    parts = given.part.split(",")
+    rows: list[Row] = []
+    file = given.csv.open("w", newline="", encoding="utf-8") if given.csv else None
+    for row in runs(parts, given.planner.split(","), given.seeds):
+        _write(row, file, not rows)
+        rows.append(row)
+    for part in (part for part in parts if part != "noise"):
+        print_stops(rows, part)
+    if "noise" in parts:
+        print_noise(rows)
+        if given.figure:
+            draw(rows, given.figure)
+
+
+if __name__ == "__main__":
+    main()
