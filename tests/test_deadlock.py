@@ -22,6 +22,7 @@ from controller.deadlock.waits import WaitGraph, rings, wait_graph
 from controller.executor import Executor
 from controller.fleet import Agv
 from controller.planners.cbs import PARTIAL, CbsLimits
+from controller.planners.lacam import LacamOptions
 from controller.planners.whca import make_whca
 from controller.planning import ControlOptions, Planning
 from controller.types import Action, AgvMode, Path, PlanningProblem, PlanResult, Status
@@ -259,6 +260,22 @@ def test_who_is_in_the_way_of_any_solution_joins(limits):
     assert yard.executor.moves[2] >= 2
 
 
+PUZZLE = drawn("""
+A-B-C
+| | |
+D-E-F
+""")
+
+
+def test_five_on_six_places_are_sorted_like_a_sliding_puzzle():
+    """Whoever leads has to give way first: one leader after the other is not enough."""
+    yard = Yard(PUZZLE, "AD BC CA DF EB", NO_CBS)
+    assert yard.run(100)
+    assert yard.stages[-1] == "lacam"
+    alone = Yard(PUZZLE, "AD BC CA DF EB", replace(NO_CBS, lacam=LacamOptions(proposals=0)))
+    assert not alone.run(100)
+
+
 @pytest.mark.parametrize("planner", [nobody_moves, None], ids=["nobody moves", "whca"])
 def test_without_any_pocket_a_deadlock_stays_open_and_is_counted(planner):
     graph = CORRIDOR
@@ -268,7 +285,13 @@ def test_without_any_pocket_a_deadlock_stays_open_and_is_counted(planner):
     assert yard.planning.resolving
     assert len(yard.of_kind("deadlock_found")) == 1
     assert yard.stages == []
-    assert {d["stage"] for d in yard.of_kind("stage_failed")} == {"partial_cbs", "leader", "pull_over", "widen"}
+    assert {d["stage"] for d in yard.of_kind("stage_failed")} == {
+        "partial_cbs",
+        "leader",
+        "pull_over",
+        "widen",
+        "lacam",
+    }
     numbers = metrics(yard)
     assert (numbers["deadlocks_found"], numbers["deadlocks_unresolved"]) == (1, 1)
     assert numbers["deadlocks_resolved"] == 0
@@ -291,6 +314,7 @@ def test_a_deadlock_that_dissolves_by_itself_is_over():
 
     yard = Yard(SIDING, "BE CA", replace(LIMITS, group=1, widen=0), late)
     yard.planning._ladder._stages = lambda *_: (None, set())
+    yard.planning._ladder._together = lambda *_: None
     assert yard.run()
     assert yard.stages == ["replanned"]
 

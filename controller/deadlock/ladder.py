@@ -7,6 +7,8 @@ Stages, after the thesis (2025, III-4), each over the reservations of everybody 
 3. *pull-over*: a leader goes on and the others clear the way, to their goals or to any place where they are in nobody's
    way; every member is tried as the leader, in order of priority.
 4. *widen*: whoever cut off the last possibility joins the group, and the stages are tried again.
+5. *lacam*: when nobody is left who could join, LaCAM* moves all of the group together, as in a sliding puzzle, where a
+   leader has to give way as well before it can go on.
 
 A resolution is a plan whose leader reaches its goal. It is carried out to its end before its members are planned for
 again, so that a window cannot undo it. When no stage finds one, or one makes no progress, the deadlock stays open and
@@ -23,6 +25,7 @@ from controller.deadlock.waits import Progress, WaitGraph
 from controller.executor import Executor
 from controller.fleet import Agv
 from controller.planners.cbs import CbsLimits, cbs
+from controller.planners.lacam import Lacam, LacamOptions
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
@@ -43,6 +46,7 @@ class LadderLimits:
         group: partial CBS handles at most so many AGVs.
         cbs: its limits.
         widen: at most so many AGVs may join a group.
+        lacam: effort of LaCAM*, when all else has failed.
     """
 
     patience_steps: int = 20
@@ -50,6 +54,7 @@ class LadderLimits:
     group: int = 5
     cbs: CbsLimits = field(default_factory=CbsLimits)
     widen: int = 12
+    lacam: LacamOptions = field(default_factory=lambda: LacamOptions(proposals=2000, improve=0.5))
 
 
 @dataclass(slots=True)
@@ -113,6 +118,7 @@ class Ladder:
         self._log = log
         space = Space(executor.graph, executor.motion)
         self._search = PathSearch(Distances(space))
+        self._lacam = Lacam(space, limits.lacam)
         self._table = ReservationTable(len(executor.graph.names), executor.motion.following)
         self._open: list[Deadlock] = []
         self._seen: dict[tuple[int, ...], int] = {}
@@ -260,7 +266,9 @@ class Ladder:
                 joining = [n for n in agents if n not in group] if len(group) < len(agents) else []
             if not joining:
                 self._failed(deadlock, "widen", "nobody else can join")
-                self._give_up(deadlock, step)
+                together = self._together(deadlock, [agents[n] for n in group], whole)
+                if not (together and self._take(deadlock, together, outside, step)):
+                    self._give_up(deadlock, step)
                 return
             group += joining
 
@@ -292,6 +300,16 @@ class Ladder:
                     return Resolution(stage, leader.agv, paths), blockers
             self._failed(deadlock, stage, "no way for any leader")
         return None, blockers
+
+    def _together(self, deadlock: Deadlock, group: list[PlanAgent], problem: PlanningProblem) -> Resolution | None:
+        """All move together until as many as possible are at their goals."""
+        result = self._lacam.resolve(replace(problem, agents=tuple(group)))
+        there = [a for a in group if a.agv in result.paths and a.goal != a.vertex and a.agv not in result.failed]
+        if not there:
+            self._failed(deadlock, "lacam", result.status.value)
+            return None
+        leader = max(there, key=lambda a: (a.priority, -a.agv))
+        return Resolution("lacam", leader.agv, result.paths)
 
     def _leader(
         self, leader: PlanAgent, group: list[PlanAgent], problem: PlanningProblem, blockers: set[int]
