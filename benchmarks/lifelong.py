@@ -15,7 +15,7 @@ import csv
 import json
 import random
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
 
@@ -93,13 +93,17 @@ class Timed:
 class Lifelong:
     """One run.
 
+    ``control`` are options of ``ControlOptions`` that differ from ``control_options``.
+
     Attributes:
         done: tasks done so far.
         trips: start and goal of all tasks given so far.
         quiet: longest time without a task done.
     """
 
-    def __init__(self, graph: Graph, agents: int, planner: str, seed: int, options: dict[str, object]) -> None:
+    def __init__(
+        self, graph: Graph, agents: int, planner: str, seed: int, options: dict[str, object], **control: object
+    ) -> None:
         self.graph = graph
         motion = ticks(graph)
         self.rng = random.Random(seed)
@@ -111,9 +115,8 @@ class Lifelong:
         self.blocked = np.zeros(len(graph.names), dtype=np.uint8)
         self.costs = Costs(graph, motion, self.blocked, keep=len(graph.names))
         self.events: dict[str, int] = {}
-        self.planning = Planning(
-            self.timed, control_options(planner), self.agvs, self.executor, RULES, self.costs, self._log
-        )
+        settings = replace(control_options(planner), **control)
+        self.planning = Planning(self.timed, settings, self.agvs, self.executor, RULES, self.costs, self._log)
         self.rest = np.zeros(len(graph.names), dtype=np.uint8)
         self.count = [0] * agents
         self.done, self.quiet, self._last = 0, 0, 0

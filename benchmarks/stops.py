@@ -40,6 +40,8 @@ TICKS, SECONDS = 600, 1200.0
 MOVE_S = 7.0
 SIGMAS = (0.0, 0.1, 0.2, 0.4)
 POLICIES = ("periodic", "events", "both")
+#: Replanning and reordering: the default, and all at once.
+DEFAULT, EVERYTHING = ("periodic", False), ("both", True)
 Row = dict[str, Any]
 
 
@@ -69,9 +71,9 @@ class Stopping(Lifelong):
         return [AgvState(n, c, c, True, able=able[n]) for n, c in enumerate(self.count)]
 
 
-def in_warehouse(planner: str, agvs: int, share: float, seed: int) -> Row:
+def in_warehouse(planner: str, agvs: int, share: float, seed: int, control: Row) -> Row:
     """Tasks done on the warehouse grid, and the share of time that stops took."""
-    run = Stopping(warehouse(), agvs, planner, seed, {})
+    run = Stopping(warehouse(), agvs, planner, seed, {}, watch_steps=1, **control)
     run.stop(share, seed)
     run.run(TICKS)
     return {"done": run.done, "stopped": run.stood / (agvs * TICKS)}
@@ -121,10 +123,10 @@ def runs(parts: Sequence[str], planners: Sequence[str], seeds: int) -> Iterator[
 
 
 def stop_cases() -> Iterator[Row]:
-    """Fleets with and without stops."""
+    """Fleets without stops, with stops, and with stops answered by everything there is."""
     for agvs in FLEETS:
-        for stops in (False, True):
-            yield {"agvs": agvs, "stops": stops, "sigma": 0.0, "replanning": "periodic", "reorder": False}
+        for stops, replanning, reorder in ((False, *DEFAULT), (True, *DEFAULT), (True, *EVERYTHING)):
+            yield {"agvs": agvs, "stops": stops, "sigma": 0.0, "replanning": replanning, "reorder": reorder}
 
 
 def noise_cases() -> Iterator[Row]:
@@ -136,32 +138,37 @@ def noise_cases() -> Iterator[Row]:
 
 
 def _run(part: str, planner: str, seed: int, key: Row) -> Row:
-    if part == "warehouse":
-        return in_warehouse(planner, key["agvs"], SHARE * key["stops"], seed)
-    faults: Row = stops_in_sumo() if key["stops"] else {"travel_noise": key["sigma"]}
     control = {"replanning": key["replanning"], "reorder": key["reorder"]}
+    if part == "warehouse":
+        return in_warehouse(planner, key["agvs"], SHARE * key["stops"], seed, control)
+    faults: Row = stops_in_sumo() if key["stops"] else {"travel_noise": key["sigma"]}
     return in_sumo("map3" if part == "map3" else "map2", key["agvs"], planner, seed, faults, control)
 
 
 def print_stops(rows: Sequence[Row], part: str) -> None:
     """Throughput kept under stops by fleet and planner; intervals over the pairs."""
     print(
-        f"\n{part}\n\n| planner | AGVs | stopped | tasks without | with stops | kept | ceiling |"
-        + "\n|---"
-        + "|---" * 6
-        + "|"
+        f"\n{part}\n\n| planner | AGVs | stopped | tasks without | with stops | kept | ceiling | both, switched: kept |"
     )
+    print("|---" * 8 + "|")
     for planner in dict.fromkeys(row["planner"] for row in rows):
         for agvs in FLEETS:
             same = [r for r in rows if (r["part"], r["planner"], r["agvs"]) == (part, planner, agvs)]
-            calm, hard = ({r["seed"]: r for r in same if r["stops"] is stops} for stops in (False, True))
+            calm = {r["seed"]: r["done"] for r in same if not r["stops"]}
+            hard = [r for r in same if r["stops"]]
             if not hard:
                 continue
-            kept = interval([hard[s]["done"] / calm[s]["done"] for s in hard])
-            without, with_ = (np.mean([r["done"] for r in group.values()]) for group in (calm, hard))
-            stood = float(np.mean([r["stopped"] for r in hard.values()]))
-            words = f"{kept.mean:.0%} ({kept.low:.0%} to {kept.high:.0%})"
-            print(f"| {planner} | {agvs} | {stood:.1%} | {without:.0f} | {with_:.0f} | {words} | {1 - stood:.0%} |")
+            by_answer = {answer: [r for r in hard if r["reorder"] is answer] for answer in (False, True)}
+            kept = {answer: _kept(rows_, calm) for answer, rows_ in by_answer.items()}
+            without, with_ = np.mean(list(calm.values())), np.mean([r["done"] for r in by_answer[False]])
+            stood = float(np.mean([r["stopped"] for r in by_answer[False]]))
+            first = f"{planner} | {agvs} | {stood:.1%} | {without:.0f} | {with_:.0f}"
+            print(f"| {first} | {kept[False]} | {1 - stood:.0%} | {kept[True]} |")
+
+
+def _kept(hard: Sequence[Row], calm: Row) -> str:
+    kept = interval([r["done"] / calm[r["seed"]] for r in hard])
+    return f"{kept.mean:.0%} ({kept.low:.0%} to {kept.high:.0%})"
 
 
 def print_noise(rows: Sequence[Row]) -> None:
