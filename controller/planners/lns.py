@@ -1,8 +1,8 @@
 """Large-neighbourhood improvement of complete plans (Li, Chen, Harabor, Stuckey and Koenig 2021, MAPF-LNS).
 
-An agent that arrives late against driving alone, and those in its way, give back their paths and are planned again, it
-first. The new paths are taken if the sum of their arrivals is less; otherwise the old ones stay, and the next time the
-agents are planned in another order. Those that have been looked at in vain come behind all others.
+An agent that waits long on its way, and those it waits for, give back their paths and are planned again, it first. The
+new paths are taken if the sum of their arrivals is less; otherwise the old ones stay, and the next time the agents are
+planned in another order. Those that have been looked at in vain come behind all others.
 
 Guarantee: whatever is returned is as free of conflicts as what came in, everybody still rests at the end of its path,
 and the sum of arrivals never grows. Limits: a local search; somebody may be overtaken again and again by agents with
@@ -12,11 +12,12 @@ new goals. Departures from the paper: one kind of neighbourhood, and a number of
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
 
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
-from controller.types import FOREVER, Path, PlanAgent, PlanningProblem
+from controller.types import Path, PlanAgent, PlanningProblem
 
 #: At most so many others are planned again with an agent.
 NEIGHBOURS = 4
@@ -55,14 +56,13 @@ class Improvement:
         self.looked = looked
         self.changed: set[int] = set()
         self.tried, self.taken = 0, 0
-        self._nobody = ReservationTable(len(problem.graph.names), problem.motion.following)
 
     def run(self, tries: int, threshold: int) -> None:
-        """Try so many neighbourhoods of agents that are late by more than ``threshold`` steps."""
+        """Try so many neighbourhoods of agents that wait for more than ``threshold`` steps."""
         late = self._late(threshold)
         while late and self.tried < tries:
             agv = late.pop(0)
-            others = self._in_the_way(self.agents[agv])
+            others = self._in_the_way(agv)
             order = [agv, *others]
             before = self.looked.get(agv, 0)
             if before:  # the same order again would fare no better
@@ -75,26 +75,29 @@ class Improvement:
                 late = self._late(threshold)
 
     def _late(self, threshold: int) -> list[int]:
-        """AGVs that are late, those looked at least first, then the latest."""
-        delays = {agv: self.paths[agv].arrive[-1] - self._alone(self.agents[agv]) for agv in self.agents}
-        late = (agv for agv in delays if delays[agv] > threshold)
-        return sorted(late, key=lambda agv: (self.looked.get(agv, 0), -delays[agv], agv))
+        """AGVs that wait too long on their way, those looked at least first, then those that wait longest."""
+        waiting = {agv: sum(steps for _, _, steps in self._waits(agv)) for agv in self.agents}
+        late = (agv for agv in waiting if waiting[agv] > threshold)
+        return sorted(late, key=lambda agv: (self.looked.get(agv, 0), -waiting[agv], agv))
 
-    def _alone(self, a: PlanAgent) -> int:
-        """When it would arrive if it were alone."""
-        return a.ready_step + self.search.distances.distance(a.vertex, a.in_edge, a.goal, a.loaded)
+    def _waits(self, agv: int) -> Iterator[tuple[int, int, int]]:
+        """Where an agent waits: the vertex it waits for, the step in which it could have set out, and for how long."""
+        agent, path = self.agents[agv], self.paths[agv]
+        graph, motion = self.problem.graph, self.problem.motion
+        into, ready = agent.in_edge, agent.ready_step
+        for (u, v), arrive, depart in zip(pairwise(path.vertices), path.arrive[1:], path.depart, strict=True):
+            edge = graph.edge_index[u, v]
+            could = ready + motion.turn(graph, into, edge, agent.loaded)
+            if depart > could:
+                yield v, could, depart - could
+            into, ready = edge, arrive
 
-    def _in_the_way(self, agent: PlanAgent) -> list[int]:
-        """Those that the agent's way would meet if it drove as if alone, in the order of meeting."""
-        way = self.search.find_path(self.problem, agent, self._nobody)
-        if way is None:
-            return []
+    def _in_the_way(self, agv: int) -> list[int]:
+        """Those whom the agent waits for, in the order of meeting."""
         met: dict[int, None] = {}
-        for i, v in enumerate(way.vertices):
-            start = 0 if i == 0 else way.depart[i - 1]
-            end = way.arrive[i + 1] if i < len(way.depart) else way.until
-            for begins, ends, owner in self.table.intervals(v):
-                if begins < end and ends > start and owner != agent.agv and owner in self.agents:
+        for vertex, step, steps in self._waits(agv):
+            for begins, ends, owner in self.table.intervals(vertex):
+                if begins <= step + steps and ends >= step and owner != agv and owner in self.agents:
                     met[owner] = None
         return list(met)[:NEIGHBOURS]
 
@@ -102,16 +105,15 @@ class Improvement:
         """Plan again in this order; whether that is better."""
         old = {agv: self.paths[agv] for agv in order}
         allowed = sum(path.arrive[-1] for path in old.values())
-        alone = {agv: self._alone(self.agents[agv]) for agv in order}
-        least = sum(alone.values())
+        spent = 0
         for agv in order:
             self.table.remove(agv)
         new: dict[int, Path] = {}
         for agv in order:
             path = self.search.find_path(self.problem, self.agents[agv], self.table)
-            least += FOREVER if path is None else path.arrive[-1] - alone[agv]
-            if path is None or least >= allowed:
+            if path is None or spent + path.arrive[-1] >= allowed:
                 break
+            spent += path.arrive[-1]
             new[agv] = path
             self.table.add(path)
         better = len(new) == len(order)

@@ -35,13 +35,13 @@ class TokenOptions:
     Attributes:
         passes: how often agents without a path are tried in one call.
         improvements: neighbourhoods of late agents planned again in one call, at most; see ``lns``.
-        late_moves: who is later than driving alone by more than so many moves is late.
+        late_moves: who waits on its way for longer than so many moves take is late.
         through_slots: paths may lead through slots that nobody rests in, has parked in or heads for.
     """
 
     passes: int = 2
-    improvements: int = 0
-    late_moves: int = 2
+    improvements: int = 3
+    late_moves: int = 4
     slack_moves: int = 2
     through_slots: bool = False
 
