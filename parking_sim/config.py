@@ -21,6 +21,9 @@ from sumo_nets.read import shipped_nets
 #: AGVs of the shipped garages when nothing else is said.
 DEFAULT_AGVS = {"map1": 4, "map2": 4, "map3": 8, "map1_thesis": 4, "map2_thesis": 4, "map3_thesis": 8}
 
+#: The planner when nothing else is said: best or equal by docs/planners.md.
+DEFAULT_PLANNER = "token"
+
 NET_SUFFIXES = (".net.xml", ".net.xml.gz")
 
 
@@ -154,7 +157,7 @@ class Scenario(_Options):
     )
     rules: str = Field(default="fair", min_length=1, description="rule set of the discrete plant")
     planner: str = Field(
-        default="whca", min_length=1, description="a planner's name, or `file.py:function` for one of your own"
+        default=DEFAULT_PLANNER, min_length=1, description="a planner's name, or `file.py:function` for one of your own"
     )
     planner_options: dict[str, bool | int | float | str] = Field(
         default_factory=dict, description="options passed to the planner by name"

@@ -1,4 +1,4 @@
-"""The demonstration: three garages park every car and bring every car back, side by side."""
+"""The demonstration: three garages park every car and bring every car back, side by side; two under WHCA* as well."""
 
 from __future__ import annotations
 
@@ -17,15 +17,22 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
-from parking_sim.config import DEFAULT_AGVS, load_scenario
+from parking_sim.config import DEFAULT_AGVS, DEFAULT_PLANNER, load_scenario
 from parking_sim.folders import check_folder
 from parking_sim.progress import RunBars
 
 if TYPE_CHECKING:
     from parking_sim.simulation import Progress, Summary
 
-#: The garages, biggest first, so that the longest run doesn't start last.
-MAPS = ("map3", "map2", "map1")
+#: Run -> garage and planner, longest first. The two smaller garages are run under WHCA* too, as a comparison; on map3
+#: that would take longer than all others together.
+RUNS: Mapping[str, tuple[str, str]] = {
+    "map3": ("map3", DEFAULT_PLANNER),
+    "map2-whca": ("map2", "whca"),
+    "map2": ("map2", DEFAULT_PLANNER),
+    "map1": ("map1", DEFAULT_PLANNER),
+    "map1-whca": ("map1", "whca"),
+}
 
 _POLL_S = 0.2
 _progress_queue: Any = None
@@ -45,16 +52,18 @@ def run_demo(out: Path, force: bool, quiet: bool) -> int:
     Raises:
         InputError: the folder can't be used.
     """
-    folders = {name: out / name for name in MAPS}
+    folders = {name: out / name for name in RUNS}
     for folder in folders.values():
         check_folder(folder, force)
     if not quiet:
-        print(f"{', '.join(sorted(MAPS))} in SUMO, side by side; this takes some minutes", file=sys.stderr)
+        print(f"{', '.join(sorted(RUNS))} in SUMO, side by side; this takes some minutes", file=sys.stderr)
     summaries = _run_all(folders, quiet or not sys.stderr.isatty())
     names = sorted(summaries)
     Console().print(results_table({name: summaries[name] for name in names}))
     if any(summary.status == "interrupted" for summary in summaries.values()):
         return 130
+    for line in comparison(summaries):
+        print(line)
     from analysis.report import write_index
 
     print(f"report: {write_index([folders[name] for name in names], out / 'index.html')}")
@@ -64,6 +73,20 @@ def run_demo(out: Path, force: bool, quiet: bool) -> int:
     for complaint in complaints:
         print(complaint, file=sys.stderr)
     return 1 if complaints else 0
+
+
+def comparison(summaries: Mapping[str, Summary]) -> list[str]:
+    """Which planner was faster where a garage was run under two, one line a garage."""
+    lines = []
+    for name, other in (("map1", "map1-whca"), ("map2", "map2-whca")):
+        planners = [RUNS[run][1] for run in (name, other)]
+        hours = [summaries[run].metrics["simulated_s"] / 3600 for run in (name, other)]
+        won = planners[hours[1] < hours[0]]
+        lines.append(
+            f"{name}: {won} won, {planners[0]} took {hours[0]:.2f} h and {planners[1]} {hours[1]:.2f} h"
+            f" ({hours[0] / hours[1] - 1:+.1%})"
+        )
+    return lines
 
 
 def complaints_of(summary: Summary) -> list[str]:
@@ -87,7 +110,7 @@ def results_table(summaries: Mapping[str, Summary]) -> Table:
     """The figures of some runs as a table for the terminal.
 
     Args:
-        summaries: a run's name -> its outcome.
+        summaries: a run's name, a key of ``RUNS`` -> its outcome.
 
     Returns:
         One column a run.
@@ -96,16 +119,18 @@ def results_table(summaries: Mapping[str, Summary]) -> Table:
     table.add_column()
     for name in summaries:
         table.add_column(name, justify="right")
-    columns = [_figures(DEFAULT_AGVS[name], summary.metrics) for name, summary in summaries.items()]
+    columns = [_figures(name, summary.metrics) for name, summary in summaries.items()]
     for heading in columns[0] if columns else ():
         table.add_row(heading, *(column[heading] for column in columns))
     return table
 
 
-def _figures(agvs: int, metrics: Mapping[str, Any]) -> dict[str, str]:
+def _figures(name: str, metrics: Mapping[str, Any]) -> dict[str, str]:
+    garage, planner = RUNS[name]
     hours = metrics["simulated_s"] / 3600
     return {
-        "AGVs": str(agvs),
+        "planner": planner,
+        "AGVs": str(DEFAULT_AGVS[garage]),
         "tasks done": f"{metrics['tasks_done']} / {metrics['tasks_wanted']}",
         "SUMO collisions": str(metrics["sumo_collisions"]),
         "footprint overlaps": str(metrics["footprint_overlaps"]),
@@ -166,7 +191,8 @@ def _run_one(name: str, folder: Path) -> Summary:
 
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        summary = simulate(load_scenario(name), folder, progress=tell)
+        garage, planner = RUNS[name]
+        summary = simulate(load_scenario(garage, {"planner": planner}), folder, progress=tell)
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     write_replay(folder, report=True)

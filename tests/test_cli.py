@@ -14,7 +14,7 @@ import pytest
 from rich.console import Console
 
 from parking_sim import cli
-from parking_sim.demo import MAPS, complaints_of, results_table
+from parking_sim.demo import RUNS, comparison, complaints_of, results_table
 from parking_sim.errors import InputError
 from parking_sim.folders import RUN_FILE, check_folder, clear_run
 from parking_sim.plants.discrete import DiscretePlant
@@ -252,11 +252,20 @@ def test_the_demo_complains_of_all_that_is_incomplete_or_unsafe(
 
 def test_the_demo_table_fits_a_narrow_terminal() -> None:
     console = Console(width=80, record=True, file=io.StringIO())
-    console.print(results_table({name: Summary("finished", FINISHED, None) for name in MAPS}))
+    console.print(results_table({name: Summary("finished", FINISHED, None) for name in RUNS}))
     text = console.export_text()
     assert "…" not in text
     for words_in_it in ("4 / 4", "0.51", "1 / 1", "8.0", "250", "900"):
         assert words_in_it in text
+
+
+def test_the_demo_names_the_planner_that_was_faster() -> None:
+    hours = {"map1": 2.0, "map1-whca": 2.5, "map2": 3.0, "map2-whca": 2.0, "map3": 9.0}
+    runs = {name: Summary("finished", {"simulated_s": 3600 * h}, None) for name, h in hours.items()}
+    assert comparison(runs) == [
+        "map1: token won, token took 2.00 h and whca 2.50 h (-20.0%)",
+        "map2: whca won, token took 3.00 h and whca 2.00 h (+50.0%)",
+    ]
 
 
 def test_a_run_writes_its_record_and_says_where(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
