@@ -1,6 +1,6 @@
 """Every garage and fleet size parks all cars and brings all back: what was done, how safely, how fast.
 
-    python benchmarks/fleets.py [--planner whca] [--workers 2] [--csv FILE] [--only map3]
+    python benchmarks/fleets.py [--planner token] [--workers 2] [--csv FILE] [--only map3]
 
 One row a run. A run that leaves a task undone, a deadlock unresolved, or lets bodies or cells overlap is marked.
 """
@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
-from parking_sim.config import load_scenario
+from parking_sim.config import DEFAULT_PLANNER, load_scenario
 
 #: Biggest first, so that the longest run does not start last.
 CASES = (
@@ -73,7 +73,7 @@ def is_good(row: dict[str, object]) -> bool:
 def main() -> int:
     """Run the cases asked for and print a row each; 1 if one of them was not good."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--planner", default="whca")
+    parser.add_argument("--planner", default=DEFAULT_PLANNER)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--only", default="", help="garages whose name begins so")
     parser.add_argument("--csv", type=Path)

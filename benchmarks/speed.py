@@ -15,7 +15,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from parking_sim.config import load_scenario
+from parking_sim.config import DEFAULT_PLANNER, load_scenario
 from parking_sim.simulation import simulate
 
 PARTS = ("sumo", "plant", "planning", "execution", "record", "check")
@@ -26,7 +26,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--garage", default="map3")
     parser.add_argument("--agvs", type=int, default=8)
-    parser.add_argument("--planner", default="token")
+    parser.add_argument("--planner", default=DEFAULT_PLANNER)
     parser.add_argument("--seconds", type=float, default=20000.0)
     parser.add_argument("--repeats", type=int, default=3)
     given = parser.parse_args()
