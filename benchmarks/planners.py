@@ -23,7 +23,9 @@ from parking_sim.config import load_scenario
 from sumo_nets.read import read_net
 
 GARAGES = ("map1", "map2", "map3", "map1_thesis", "map2_thesis", "map3_thesis")
-PLANNERS = ("token", "pbs", "whca", "pibt", "lacam", "astar", "dstar_lite", "binary_tree", "cbs")
+PLANNERS = (
+    "token", "pbs", "whca", "pibt", "lacam", "online_mapf", "astar", "dstar_lite", "binary_tree", "ga_two_stage", "cbs",
+)  # fmt: skip
 FLEETS = (1, 2, 4, 8, 16, 32, 64)
 #: Planners that only go where they are meant for: plans grow out of hand with more AGVs.
 MOST_AGVS = {"cbs": 4}

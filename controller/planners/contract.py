@@ -60,7 +60,7 @@ def check_planner(make: Maker, problems: int = 200) -> Iterator[Finding]:
         try:
             planner = make(problem.graph, problem.motion)
             if getattr(planner, "complete", False):
-                problem = _all_standing(random_problem(number, FOREVER))
+                problem = all_standing(random_problem(number, FOREVER))
             reasons = violations(planner, problem)
             if not reasons and planner(problem).paths != make(problem.graph, problem.motion)(problem).paths:
                 reasons = ["equal problems, different plans: draw random numbers from problem.seed"]
@@ -102,7 +102,7 @@ def random_problem(number: int, window: int | None = None) -> PlanningProblem:
     return PlanningProblem(graph, motion, agents, (), blocked, no_rest, steps, number)
 
 
-def _all_standing(problem: PlanningProblem) -> PlanningProblem:
+def all_standing(problem: PlanningProblem) -> PlanningProblem:
     """The problem as planners of complete paths get it: everybody's present path is to stay, and fixed."""
     return replace(problem, fixed=tuple(Path(a.agv, (a.vertex,), (0,), ()) for a in problem.agents))
 
