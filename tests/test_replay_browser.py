@@ -221,9 +221,12 @@ def test_follow_an_agv_and_a_car(replay: Browser) -> None:
     replay.click(left + x, top + y)
     assert "AGV 2" in replay.run("document.getElementById('following').textContent")
     replay.run("document.querySelector('[data-tab=cars]').click()")
-    replay.run("document.querySelector('#list .row').click()")
-    replay.wait("(c => c && Math.hypot(c.x - replay.view.x, c.y - replay.view.y) < 0.2)(replay.drawn.cars[0])")
-    assert "car001" in replay.run("document.getElementById('card').textContent")
+    car = replay.run("replay.drawn.cars[0].car")
+    name = replay.run(f"replay.head.cars[{car}]")
+    replay.run(f"[...document.querySelectorAll('#list .row')].find(r => r.textContent.includes('{name}')).click()")
+    centred = "c => c && Math.hypot(c.x - replay.view.x, c.y - replay.view.y) < 0.2"
+    replay.wait(f"({centred})(replay.drawn.cars.find(c => c.car === {car}))")
+    assert name in replay.run("document.getElementById('card').textContent")
 
 
 def test_reversal_is_no_spin_and_turns_take_the_short_way(little: Browser) -> None:
