@@ -311,8 +311,7 @@ class _Run:
         t = perf_counter()
         agvs = self.acs.agvs
         cars = [
-            agv.job.car if a.loaded and agv.job else ""
-            for agv, a in zip(agvs, self.acs.executor.agvs, strict=True)
+            agv.job.car if a.loaded and agv.job else "" for agv, a in zip(agvs, self.acs.executor.agvs, strict=True)
         ]
         self.recorder.sample(
             self.now_s, self.plant.samples(), [a.mode.value for a in agvs], cars, [a.soc for a in agvs]
@@ -412,7 +411,6 @@ class _Run:
             "audit": problems,
             "wall_s": self._wall_split(),
         }
-
 
     def _wall_split(self) -> dict[str, float]:
         """Wall-clock seconds: SUMO's own steps, the rest of the plant, planning, the rest of the controller, ..."""

@@ -119,9 +119,7 @@ class OnlineMapf:
         graph, motion = problem.graph, problem.motion
         out = range(int(graph.first_out[agent.vertex]), int(graph.first_out[agent.vertex + 1]))
         driving = motion.edge_steps[int(agent.loaded)]
-        return min(
-            (motion.turn(graph, agent.in_edge, e, agent.loaded) + int(driving[e]) for e in out), default=1
-        )
+        return min((motion.turn(graph, agent.in_edge, e, agent.loaded) + int(driving[e]) for e in out), default=1)
 
     def _shorten(self, path: Path, problem: PlanningProblem) -> Path:
         short = cut_at_wait(path, problem)
