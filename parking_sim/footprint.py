@@ -4,7 +4,7 @@ SUMO does not see AGVs that cross at a small node, and the controller is what is
 them: step by step it is given rectangles, and is told which cars were set down and lifted.
 
 An empty AGV is flat and may drive in under a parked car, along its axis, with the front or rear in the middle, and out
-again as it likes; a loaded one may not.
+again as it likes; a loaded one may not. Straight across an aisle it may be under two cars at once.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class FootprintCheck:
         self.events: list[Nearness] = []  #: every overlap, when it began
         self._parked = _Parked()
         self._rows = np.zeros((0, 7))
-        self._under = np.zeros(0, dtype=np.int64)  # number of the parked car each AGV is under, -1 for none
+        self._under = np.zeros((0, 2), dtype=np.int64)  # numbers of the parked cars each AGV is under, -1 for none
         self._pairs = np.zeros((_MAX_PAIRS, 2), dtype=np.int64)
         self._least = np.full(2, np.inf)
         self._closest: list[Nearness | None] = [None, None]
@@ -120,7 +120,7 @@ class FootprintCheck:
             KeyError: the car is parked already.
             IndexError: no step was seen yet, or there is no such AGV.
         """
-        self._under[agv] = self._park(car, self._rows[agv])
+        self._under[agv] = (self._park(car, self._rows[agv]), -1)
 
     def standing(self, cars: Sequence[str], bodies: Bodies) -> None:
         """Cars that are parked already when the run starts.
@@ -152,7 +152,7 @@ class FootprintCheck:
             bodies: the AGVs, the same ones in the same order in each step.
         """
         if len(self._rows) != len(bodies.x):
-            self._under = np.full(len(bodies.x), -1)
+            self._under = np.full((len(bodies.x), 2), -1)
             self._rows = np.full((len(bodies.x), 7), np.inf)
         found, agv, other, near, near_car = _look(
             bodies.x, bodies.y, bodies.angle, bodies.length, bodies.width, bodies.loaded, bool(self._overlapping),
@@ -227,14 +227,16 @@ def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, under, 
                 break
             if dx * dx + dy * dy > limit * limit:
                 continue
+            car = parked[p, 7]
             if not loaded[i] and _gets_under(rows, i, parked, p):
-                under[i] = parked[p, 7]
+                if car not in (under[i, 0], under[i, 1]):
+                    under[i, 0], under[i, 1] = car, under[i, 0]
                 continue
             d = _distance(rows, i, parked, p, max(least[1], UNDER_AHEAD_M))
-            if under[i] == parked[p, 7]:
+            if car in (under[i, 0], under[i, 1]):
                 if not loaded[i] and d < UNDER_AHEAD_M:
                     continue
-                under[i] = -1
+                under[i, 0 if under[i, 0] == car else 1] = -1
             if d < least[1]:
                 least[1], near, near_car = d, i, p
             if d == 0.0 and found < len(pairs):

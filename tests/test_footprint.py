@@ -156,6 +156,21 @@ def test_out_from_under_a_car_in_a_bend():
     assert check.result().overlaps == 1
 
 
+def test_straight_from_under_one_car_in_under_another():
+    """Across an aisle an AGV is under both for a while; another one that comes from the side is not."""
+    check = FootprintCheck()
+    check.step(0.5, bodies((0, 0, 0), (8, 0, 0), (4, 50, 0), loaded=(0, 1, 2)))
+    check.lowered("from", 0)
+    check.lowered("to", 1)
+    check.step(1.0, bodies((0, 0, 0), (60, 0, 0), (4, 50, 0)))
+    for n, x in enumerate(np.arange(0.5, 8.0, 0.5)):
+        check.step(2.0 + n, bodies((x, 0, 0), (60, 0, 0), (4, 50, 0)))
+    assert check.result().overlaps == 0
+    check.step(20.0, bodies((8, 0, 0), (60, 0, 0), (5.5, -3, 90)))
+    check.step(21.0, bodies((8, 0, 0), (60, 0, 0), (5.5, 0, 90)))
+    assert [event.other for event in check.events if event.agv == 2] == ["to"]
+
+
 def test_a_lifted_car_is_gone():
     check = park_at_origin()
     with pytest.raises(KeyError):
