@@ -17,9 +17,11 @@ class Burst(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
-    at_min: float = Field(ge=0, description="start of the burst, minutes from the start of the run")
-    cars: int = Field(ge=1, description="number of cars; a retrieve burst takes at most those that are there")
-    spread_min: float = Field(default=5.0, ge=0, description="minutes over which the requests spread evenly")
+    at_min: float = Field(ge=0, le=1e9, description="start of the burst, minutes from the start of the run")
+    cars: int = Field(
+        ge=1, le=1_000_000, description="number of cars; a retrieve burst takes at most those that are there"
+    )
+    spread_min: float = Field(default=5.0, ge=0, le=1e9, description="minutes over which the requests spread evenly")
     wish: Literal["park", "retrieve"] = Field(default="park", description="what these customers want")
 
 

@@ -45,12 +45,12 @@ class OpenTraffic(Workload):
     """
 
     arrivals_per_h: float | None = Field(
-        default=None, ge=0, description="cars arriving an hour; give this or arrivals_share_per_h"
+        default=None, ge=0, le=10_000, description="cars arriving an hour; give this or arrivals_share_per_h"
     )
     arrivals_share_per_h: float | None = Field(
         default=None, ge=0, le=10, description="cars arriving an hour as a share of the garage's slots"
     )
-    dwell_median_min: float = Field(default=60.0, gt=0, description="median time a car stays, minutes")
+    dwell_median_min: float = Field(default=60.0, gt=0, le=1e9, description="median time a car stays, minutes")
     dwell_sigma: float = Field(
         default=0.8, ge=0, le=3, description="sigma of the lognormal dwell time; 0: every car stays equally long"
     )
@@ -58,7 +58,10 @@ class OpenTraffic(Workload):
         default=0.5, ge=0, le=1, description="share of the slots occupied when the run starts"
     )
     duration_min: float = Field(
-        default=120.0, gt=0, description="minutes during which requests are made; later retrievals are dropped"
+        default=120.0,
+        gt=0,
+        le=60 * 24 * 366,
+        description="minutes during which requests are made, a year at most; later retrievals are dropped",
     )
 
     @model_validator(mode="after")
