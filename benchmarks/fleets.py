@@ -8,12 +8,13 @@ One row a run. A run that leaves a task undone, a deadlock unresolved, or lets b
 from __future__ import annotations
 
 import argparse
-import csv
 import multiprocessing
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
+
+import pandas as pd
 
 from parking_sim.config import DEFAULT_PLANNER, load_scenario
 
@@ -87,10 +88,7 @@ def main() -> int:
         shown = " ".join(f"{key}={value}" for key, value in zip(COLUMNS, values, strict=True))
         print(f"{row['garage']} x {row['agvs']} in {row['plant']}: {shown}{mark}", flush=True)
     if given.csv:
-        with given.csv.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(done[0]))
-            writer.writeheader()
-            writer.writerows(sorted(done, key=lambda r: (str(r["garage"]), str(r["plant"]), int(str(r["agvs"])))))
+        pd.DataFrame(done).sort_values(["garage", "plant", "agvs"]).to_csv(given.csv, index=False)
     return 0 if all(is_good(row) for row in done) else 1
 
 

@@ -12,7 +12,6 @@ time, CPU a step, also per AGV, the parts' shares of the wall time, tasks done, 
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import multiprocessing
 import resource
@@ -22,7 +21,9 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
-from parking_sim.config import load_scenario
+import pandas as pd
+
+from parking_sim.config import DEFAULT_PLANNER, load_scenario
 from parking_sim.simulation import simulate
 from sumo_nets.build import build_net
 from sumo_nets.generate import generate_layout
@@ -85,7 +86,7 @@ def main() -> None:
     parser.add_argument("--agvs", type=lambda text: [int(n) for n in text.split(",")], default=[8, 50, 200, 500])
     parser.add_argument("--minutes", type=float, default=5)
     parser.add_argument("--plant", default="sumo")
-    parser.add_argument("--planner", default="token")
+    parser.add_argument("--planner", default=DEFAULT_PLANNER)
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "parking-sim-large")
     parser.add_argument("--csv", type=Path)
     given = parser.parse_args()
@@ -96,10 +97,7 @@ def main() -> None:
         done.append(row)
         print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
     if given.csv:
-        with given.csv.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(done[0]))
-            writer.writeheader()
-            writer.writerows(done)
+        pd.DataFrame(done).to_csv(given.csv, index=False)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ alone and of the whole control, deadlocks found and left, and the longest time t
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import random
 from collections.abc import Iterator, Sequence
@@ -20,6 +19,7 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
+import pandas as pd
 
 from controller.costs import Costs
 from controller.deadlock.ladder import LadderLimits
@@ -238,10 +238,7 @@ def main() -> None:
         done.append(row)
         print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
     if given.csv:
-        with given.csv.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(done[0]))
-            writer.writeheader()
-            writer.writerows(done)
+        pd.DataFrame(done).to_csv(given.csv, index=False)
 
 
 if __name__ == "__main__":

@@ -10,12 +10,12 @@ after the other until everybody is at the goal, or for 60 moves.
 from __future__ import annotations
 
 import argparse
-import csv
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from controller.planners.contract import all_standing, random_problem
 from controller.planners.table import load_planner
@@ -104,10 +104,7 @@ def main() -> None:
             f" {solved.mean():.4f}, p50 {p50:.3f}, p90 {p90:.3f}, p99 {p99:.3f}, worst {solved.max():.2f}"
         )
     if given.csv:
-        with given.csv.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(done[0]))
-            writer.writeheader()
-            writer.writerows(done)
+        pd.DataFrame(done).to_csv(given.csv, index=False)
     if given.figure:
         draw(table, given.figure)
 

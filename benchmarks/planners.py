@@ -12,12 +12,13 @@ over the seeds as a table; CSV and figure with ``--csv`` and ``--figure``. ``--w
 from __future__ import annotations
 
 import argparse
-import csv
 import multiprocessing
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
+
+import pandas as pd
 
 from parking_sim.config import load_scenario
 from sumo_nets.read import read_net
@@ -146,10 +147,7 @@ def main() -> None:
     for line in table:
         print(" | ".join(str(value) for value in line.values()))
     if given.csv:
-        with given.csv.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(done[0]))
-            writer.writeheader()
-            writer.writerows(sorted(done, key=lambda r: (r["garage"], r["planner"], r["agvs"], r["seed"])))
+        pd.DataFrame(done).sort_values(["garage", "planner", "agvs", "seed"]).to_csv(given.csv, index=False)
     if given.figure:
         draw(table, given.figure)
 

@@ -1,4 +1,4 @@
-"""MovingAI's grid maps and scenarios (Sturtevant 2012, https://movingai.com/benchmarks) as graphs and tasks.
+"""MovingAI's grid maps (Sturtevant 2012, https://movingai.com/benchmarks) as graphs.
 
 A ``.map`` has ``.``, ``G`` and ``S`` for cells that can be entered; ``@``, ``O``, ``T`` and ``W`` can't. Cells are
 4-connected here, though the files say ``octile``, as is usual for multi-agent path finding. Warehouse maps of the
@@ -10,7 +10,6 @@ Cell (x, y) counts from the upper left corner, as in the files; the vertex is ca
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from sumo_nets.graph import Graph, Role, make_graph
@@ -21,16 +20,7 @@ _ROLES: dict[str, Role] = {"e": "slot", "b": "bay", "r": "home"}
 
 
 class MovingAiError(ValueError):
-    """A file that is not a map or a scenario; the message is one line."""
-
-
-@dataclass(frozen=True, slots=True)
-class Trip:
-    """One line of a scenario: from where to where, and how far it is over diagonals, as the file says."""
-
-    start: tuple[int, int]
-    goal: tuple[int, int]
-    optimal_length: float
+    """A file that is not a map; the message is one line."""
 
 
 def read_map(path: Path) -> Graph:
@@ -50,26 +40,6 @@ def read_map(path: Path) -> Graph:
     if len(rows) != height or any(len(row) != width for row in rows):
         raise MovingAiError(f"{path}: not {height} rows of {width} cells")
     return grid_graph(path.stem, rows)
-
-
-def read_scenario(path: Path) -> list[Trip]:
-    """Read a ``.scen`` file.
-
-    Raises:
-        MovingAiError: it can't be read or is not a scenario.
-    """
-    lines = _lines(path)
-    if not lines or not lines[0].startswith("version"):
-        raise MovingAiError(f"{path}: not a MovingAI scenario: the first line does not give a version")
-    return [_trip(path, number, line) for number, line in enumerate(lines[1:], start=2) if line.strip()]
-
-
-def _trip(path: Path, number: int, line: str) -> Trip:
-    try:
-        *_, x, y, goal_x, goal_y, length = line.split()
-        return Trip((int(x), int(y)), (int(goal_x), int(goal_y)), float(length))
-    except ValueError:
-        raise MovingAiError(f"{path}: line {number}: not bucket, map, size, start, goal and length") from None
 
 
 def grid_graph(name: str, rows: Sequence[str], cell_m: float = 1.0) -> Graph:

@@ -30,11 +30,6 @@ def blocked_ways(graph: Graph) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-def is_well_formed(graph: Graph) -> bool:
-    """The end points block nobody."""
-    return not blocked_ways(graph)
-
-
 def _touching(start: set[int], model: nx.DiGraph[int], points: list[int]) -> set[int]:
     """End points that can be reached from any of the start's vertices through vertices that are none."""
     ends = set(points)

@@ -1,4 +1,4 @@
-"""Well-formed garages, against every pair of end points looked at one by one."""
+"""Well-formed garages, against every pair of end points looked at one by one; maps to try them on."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sumo_nets.graph import make_graph
-from sumo_nets.movingai import grid_graph
+from sumo_nets.movingai import MovingAiError, grid_graph, read_map
 from sumo_nets.read import read_net
-from sumo_nets.well_formed import blocked_ways, describe, is_well_formed
+from sumo_nets.well_formed import blocked_ways, describe
 
 
 @st.composite
@@ -39,12 +39,23 @@ def test_the_same_as_looking_at_every_pair(graph):
 
 @pytest.mark.parametrize("name", ["map1", "map2", "map3"])
 def test_our_garages_are_well_formed(name):
-    assert is_well_formed(read_net(name).graph)
+    assert blocked_ways(read_net(name).graph) == []
 
 
 def test_a_slot_in_the_aisle_is_named():
     graph = grid_graph("aisle", ["e.e.e"])
-    assert not is_well_formed(graph)
     assert describe(graph) == (
         "not well-formed: every way from 0,0 to 4,0 and 1 other ways leads through another end point"
     )
+
+
+def test_a_map_of_movingai_is_read_and_anything_else_refused_in_a_line(tmp_path):
+    path = tmp_path / "little.map"
+    path.write_text("type octile\nheight 2\nwidth 3\nmap\ne.@\n@.r\n", encoding="utf-8")
+    graph = read_map(path)
+    assert set(graph.names) == {"0,0", "1,0", "1,1", "2,1"}
+    assert len(graph.head) == 6
+    assert [graph.names[v] for v in (*graph.slots, *graph.homes)] == ["0,0", "2,1"]
+    path.write_text("type octile\nheight 3\nwidth 3\nmap\ne.@\n", encoding="utf-8")
+    with pytest.raises(MovingAiError, match="not 3 rows of 3 cells"):
+        read_map(path)
