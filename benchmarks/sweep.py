@@ -32,7 +32,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         specs = plan(folder / "plan.yaml", given)
-        do_run(specs[0].scenario, folder / "warm")  # compiles the kernels, which are then read from their cache
+        for scenario in {spec.scenario.planner: spec.scenario for spec in specs}.values():
+            do_run(scenario, folder / "warm" / scenario.planner)  # compiles its kernels, which are then in their cache
         print(f"{len(specs)} runs of {given.minutes:g} simulated minutes")
         seconds: dict[str, float] = {}
         tables: dict[str, pd.DataFrame] = {}
@@ -88,8 +89,16 @@ def timed(specs: tuple[RunSpec, ...], folder: Path, workers: int, dask: bool) ->
 
 @contextmanager
 def local_cluster(workers: int) -> Iterator[str]:
-    """A dask cluster of worker processes on this machine; yields its scheduler's address."""
+    """A dask cluster of worker processes on this machine; yields its scheduler's address.
+
+    Neither profiled ten times a second nor made to give back memory at once, see docs/sweeps.md.
+    """
+    import dask
     from distributed import LocalCluster
+
+    dask.config.set(
+        {"distributed.worker.profile.enabled": False, "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": "1"}}
+    )
 
     with LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         yield cluster.scheduler_address
