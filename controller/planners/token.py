@@ -2,8 +2,9 @@
 
 Every agent always has a complete path to a place where it may rest for ever. An agent with a new goal gets the quickest
 path that keeps clear of all other paths, rests included; if there is none yet it keeps the path it has and is asked
-again. Agents that fail are tried once more after the others, since a new path of another agent may have made room.
-After that the plan of all can be improved, see ``lns``.
+again. Agents that fail are tried once more after the others, since a new path of another agent may have made room; but
+whom others cut off by resting in the way is not tried before one of them rests elsewhere. After that the plan of all
+can be improved, see ``lns``.
 
 Guarantee: in a well-formed garage (slots, bays, homes and chargers are end points, and between any two of them there
 is a way that passes no other) no deadlock can arise, since every accepted set of paths can be carried out to its end.
@@ -18,14 +19,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controller.planners.lns import Improvement
+from controller.search.cut import closed_around
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
 from controller.search.space import Space
-from controller.types import Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
-from sumo_nets.graph import Graph
+from controller.types import FOREVER, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from sumo_nets.graph import Graph, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +45,29 @@ class TokenOptions:
     passes: int = 2
     improvements: int = 3
     late_moves: int = 4
-    slack_moves: int = 2
+    slack_moves: int = 4
     through_slots: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Cut:
+    """Why an agent found no path.
+
+    Attributes:
+        vertex, goal: from where to where.
+        blocker: who was in the way.
+        around: while all these vertices are closed there is no way; empty if it is not that.
+    """
+
+    vertex: int
+    goal: int
+    blocker: int
+    around: IntArray
+
+    def holds(self, agent: PlanAgent, closed: NDArray[np.uint8]) -> bool:
+        """Another search would be in vain."""
+        same = (self.vertex, self.goal) == (agent.vertex, agent.goal)
+        return same and len(self.around) > 0 and bool(closed[self.around].all())
 
 
 class Token:
@@ -69,6 +93,7 @@ class Token:
         self.table = ReservationTable(len(space.graph.names), space.motion.following)
         self._search = PathSearch(self.distances, options.slack_moves * move)
         self._looked: dict[int, int] = {}
+        self._cuts: dict[int, _Cut] = {}
 
     def __call__(self, problem: PlanningProblem) -> PlanResult:
         """Plan for the agents of a problem.
@@ -90,9 +115,15 @@ class Token:
         for _ in range(self.options.passes):
             failed = {}
             for agent in waiting:
+                closed = self._closed_for(agent, carried | paths, problem)
+                cut = self._cuts.get(agent.agv)
+                if cut is not None and cut.holds(agent, closed):
+                    failed[agent.agv] = cut.blocker
+                    continue
                 found = self._replace(agent, carried.get(agent.agv), problem)
                 if found is None:
                     failed[agent.agv] = self._search.blocker
+                    self._cuts[agent.agv] = self._cut(agent, closed)
                 else:
                     paths[agent.agv] = found
             waiting = [agent for agent in waiting if agent.agv in failed]
@@ -102,6 +133,18 @@ class Token:
             self._improve(problem, carried, paths)
         counters = Counters(*self.distances.counters.tolist())
         return PlanResult(Status.PARTIAL if failed else Status.SOLVED, paths, failed, counters)
+
+    def _closed_for(self, agent: PlanAgent, paths: dict[int, Path], problem: PlanningProblem) -> NDArray[np.uint8]:
+        """Vertices that an agent can never drive through, shape (n,): where others rest, and what is blocked."""
+        closed = problem.blocked.copy()
+        closed[agent.goal] = 0
+        closed[[path.vertices[-1] for n, path in paths.items() if n != agent.agv and path.until >= FOREVER]] = 1
+        return closed
+
+    def _cut(self, agent: PlanAgent, closed: NDArray[np.uint8]) -> _Cut:
+        space, counters = self.distances.space, self.distances.counters
+        around = closed_around(agent.vertex, agent.goal, closed, space.lanes, counters)
+        return _Cut(agent.vertex, agent.goal, self._search.blocker, around)
 
     def _improve(self, problem: PlanningProblem, carried: dict[int, Path], paths: dict[int, Path]) -> None:
         """Improve the plan of all that have a path to their goal; paths that change are added to ``paths``."""

@@ -6,14 +6,13 @@ vertices are not: they may be left, never driven into, unless they are the goal.
 vertex may come back to it; that its best way leads through it a second time is left out of account.)
 
 Departures from the paper: durations differ per edge, turns cost time, and the estimate is the larger of the Manhattan
-and the Euclidean distance times the fastest pace of any edge (consistent, so a closed state is final). Places from
-which AGVs set out again and again (homes, bays, chargers) get a table of exact distances from there, made once: a
-search aimed at such a place then goes straight to it.
+and the Euclidean distance times the fastest pace of any edge (consistent, so a closed state is final). A search aimed
+at a landmark goes straight to it by the landmark's table, see ``landmarks``; a quickest way from there is even read
+from the table, and searched for only when somebody asks for more.
 """
 
 from __future__ import annotations
 
-import heapq
 from collections import OrderedDict
 from typing import NamedTuple
 
@@ -21,6 +20,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from controller.search.landmarks import Bounds, Landmarks
+from controller.search.landmarks import at_least as landmarks_say
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes, Space
 from controller.types import FOREVER, NEVER
 from sumo_nets.graph import FloatArray, IntArray
@@ -28,7 +29,7 @@ from sumo_nets.graph import FloatArray, IntArray
 #: Columns of ``Field.states``: g + 1 (0: not seen yet), f, place in OPEN + 1 (-1: closed), and OPEN itself.
 G, F, PLACE, OPEN = 0, 1, 2, 3
 #: Places of ``Field.meta``.
-SIZE, GOAL, LOADED, AIM = 0, 1, 2, 3
+SIZE, GOAL, LOADED, AIM, READ = 0, 1, 2, 3, 4
 
 
 class Field(NamedTuple):
@@ -36,9 +37,10 @@ class Field(NamedTuple):
 
     Attributes:
         states: shape (m, 4), int32; zeroed memory that is not touched costs nothing.
-        meta: number of states in OPEN, the goal, 1 if loaded, and the vertex it is aimed at.
+        meta: number of states in OPEN, the goal, 1 if loaded, the vertex it is aimed at, and, as long as all that is
+            closed has been read from a table, the steps from there + 1 (else 0).
         aim: x, y of the vertex it is aimed at, steps per metre by Manhattan and by Euclidean distance.
-        ahead: at least so many steps from the vertex it is aimed at over each edge, shape (m,); (0,) if not known.
+        ahead: at least so many steps from the vertex it is aimed at over each edge, shape (m,); (0,) if no landmark.
     """
 
     states: IntArray
@@ -63,11 +65,7 @@ class Distances:
 
     def __init__(self, space: Space, max_bytes: int = 1 << 29, ends: NDArray[np.uint8] | None = None) -> None:
         self.space = space
-        n = len(space.lanes.xy)
-        self._ends = np.zeros(n, dtype=np.uint8) if ends is None else ends
-        roles = space.graph.roles
-        self._hubs = frozenset((*roles["home"], *roles["bay"], *roles["charger"]))
-        self._from_hub: dict[tuple[int, bool], IntArray] = {}
+        self._landmarks = Landmarks(space, np.zeros(len(space.lanes.xy), dtype=np.uint8) if ends is None else ends)
         motion = space.motion
         self._speeds_differ = bool(
             (motion.edge_steps[0] != motion.edge_steps[1]).any() or (motion.turn_steps[0] != motion.turn_steps[1]).any()
@@ -89,7 +87,7 @@ class Distances:
     def field(self, goal: int, loaded: bool, asker: int) -> Field:
         """The field of a goal, new ones aimed at the vertex ``asker``."""
         loaded = loaded and self._speeds_differ
-        key = (goal, loaded, asker if asker in self._hubs else -1)
+        key = (goal, loaded, asker if self._goes_straight(asker, goal) else -1)
         field = self._fields.get(key)
         if field is None:
             field = self._new_field(goal, loaded, asker)
@@ -99,6 +97,10 @@ class Distances:
         else:
             self._fields.move_to_end(key)
         return field
+
+    def bounds(self, goal: int, loaded: bool) -> Bounds:
+        """What is known of the way to a goal without any search, for :func:`at_least`."""
+        return self._landmarks.bounds(goal, loaded and self._speeds_differ)
 
     def distance(self, vertex: int, in_edge: int, goal: int, loaded: bool) -> int:
         """Steps from a vertex to a goal, turns included.
@@ -117,53 +119,22 @@ class Distances:
         field = self.field(goal, loaded, vertex)
         return int(distance_from(vertex, in_edge, field, self.space.lanes, self.blocked, self.counters))
 
+    def _goes_straight(self, asker: int, goal: int) -> bool:
+        """A field of its own, by the asker's table, pays where few others will ask for this goal."""
+        return asker in self._landmarks.vertices and goal not in self._landmarks.vertices
+
     def _new_field(self, goal: int, loaded: bool, asker: int) -> Field:
         s = self.space
+        straight = self._goes_straight(asker, goal)
         field = Field(
             np.zeros((len(s.lanes.tail), 4), dtype=np.int32),
-            np.array([0, goal, loaded, asker], dtype=np.int32),
+            np.array([0, goal, loaded, asker, 0], dtype=np.int32),
             np.array([*s.lanes.xy[asker], *s.rates[int(loaded)]]),
-            self._ahead(asker, loaded) if asker in self._hubs else np.zeros(0, dtype=np.int32),
+            self._landmarks.steps_from(asker, loaded, self.counters) if straight else np.zeros(0, dtype=np.int32),
         )
-        _begin(field, s.lanes, self.counters)
+        if not straight or not _read_way(field, s.lanes, self.blocked):
+            _begin(field, s.lanes, self.counters)
         return field
-
-    def _ahead(self, hub: int, loaded: bool) -> IntArray:
-        table = self._from_hub.get((hub, loaded))
-        if table is None:
-            table = _forward(hub, loaded, self.space.lanes, self._ends, self.counters)
-            self._from_hub[hub, loaded] = table
-        return table
-
-
-@njit(cache=True)
-def _forward(hub: int, loaded: bool, lanes: Lanes, ends: NDArray[np.uint8], counters: NDArray[np.int64]) -> IntArray:
-    """Dijkstra from a vertex over edges: least steps until each edge has been driven, the first without a turn."""
-    row = int(loaded)
-    g = np.full(len(lanes.tail), FOREVER, dtype=np.int32)
-    OPEN = [(np.int32(0), np.int32(0))]
-    OPEN.pop()
-    for e in range(lanes.first_out[hub], lanes.first_out[hub + 1]):
-        g[e] = lanes.edge_steps[row, e]
-        heapq.heappush(OPEN, (g[e], np.int32(e)))
-    while OPEN:
-        cost, last = heapq.heappop(OPEN)
-        if cost > g[last]:
-            continue
-        counters[EXPANDED] += 1
-        counters[VALID] += 1
-        v = lanes.head[last]
-        if ends[v]:
-            continue
-        for out in range(lanes.first_out[v], lanes.first_out[v + 1]):
-            turn = lanes.turn_steps[row, lanes.first_transition[last] + out - lanes.first_out[v]]
-            there = np.int32(cost + turn + lanes.edge_steps[row, out])
-            if turn < NEVER and there < g[out]:
-                g[out] = there
-                counters[GENERATED] += 1
-                counters[HEAP_MOVES] += 1
-                heapq.heappush(OPEN, (there, np.int32(out)))
-    return g
 
 
 @njit(cache=True)
@@ -178,6 +149,11 @@ def distance_from(
         return settle(in_edge, field, lanes, blocked, counters)
     while True:
         best, open_turn = _best_way_out(vertex, in_edge, field, lanes, blocked)
+        if meta[READ]:
+            if vertex == meta[AIM] and best < meta[READ]:
+                return best
+            _search_instead(field, lanes, counters)
+            continue
         if open_turn >= NEVER or meta[SIZE] == 0:
             return best
         # Whatever leaves over an edge not closed yet needs at least the least f of OPEN, if the search is aimed here.
@@ -207,6 +183,8 @@ def _best_way_out(vertex: int, in_edge: int, field: Field, lanes: Lanes, blocked
 def settle(edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]) -> int:
     """Resume the search until ``edge`` is closed; its remaining steps, ``FOREVER`` if OPEN runs empty before."""
     while field.states[edge, PLACE] != -1:
+        if field.meta[READ]:
+            _search_instead(field, lanes, counters)
         if field.meta[SIZE] == 0:
             return FOREVER
         _close_next(field, lanes, blocked, counters)
@@ -243,14 +221,15 @@ def closed(edge: int, field: Field) -> bool:
 
 
 @njit(cache=True)
-def at_least(edge: int, goal: int, field: Field, lanes: Lanes) -> int:
+def at_least(edge: int, goal: int, field: Field, bounds: Bounds, lanes: Lanes) -> int:
     """A bound below the remaining steps from an edge to the goal, without any search; exact where it is closed."""
     if closed(edge, field):
         return int(field.states[edge, G]) - 1
     w = lanes.head[edge]
     dx = abs(lanes.xy[w, 0] - lanes.xy[goal, 0])
     dy = abs(lanes.xy[w, 1] - lanes.xy[goal, 1])
-    return int(max(field.aim[2] * (dx + dy), field.aim[3] * np.sqrt(dx * dx + dy * dy)))
+    by_air = int(max(field.aim[2] * (dx + dy), field.aim[3] * np.sqrt(dx * dx + dy * dy)))
+    return int(max(by_air, landmarks_say(edge, bounds)))
 
 
 @njit(cache=True)
@@ -281,6 +260,52 @@ def _differs(changed: IntArray, field: Field, lanes: Lanes, blocked: NDArray[np.
                 if turn < NEVER and (states[e, G] == g if blocked[w] else states[e, G] == 0 or g < states[e, G]):
                     return True
     return False
+
+
+@njit(cache=True)
+def _read_way(field: Field, lanes: Lanes, blocked: NDArray[np.uint8]) -> bool:
+    """Close the edges of a quickest way from the landmark without a search; False if something on it is blocked."""
+    states, meta, ahead = field.states, field.meta, field.ahead
+    loaded, goal = meta[LOADED], meta[GOAL]
+    edge = -1
+    for i in range(lanes.first_in[goal], lanes.first_in[goal + 1]):
+        e = lanes.in_edges[i]
+        if edge < 0 or ahead[e] < ahead[edge]:
+            edge = e
+    if edge < 0 or ahead[edge] >= FOREVER:
+        return False
+    steps = ahead[edge]
+    while edge >= 0:
+        if not _may_enter(lanes.head[edge], field, blocked):
+            states[:] = 0
+            return False
+        states[edge, G] = steps - ahead[edge] + 1
+        states[edge, PLACE] = -1
+        edge = _edge_before(edge, loaded, ahead, lanes)
+    meta[READ] = steps + 1
+    return True
+
+
+@njit(cache=True)
+def _edge_before(edge: int, loaded: int, ahead: IntArray, lanes: Lanes) -> int:
+    """The edge before another one on a quickest way, -1 if that is the first."""
+    v = lanes.tail[edge]
+    here = ahead[edge] - lanes.edge_steps[loaded, edge]
+    if here == 0:
+        return -1
+    for i in range(lanes.first_in[v], lanes.first_in[v + 1]):
+        e = lanes.in_edges[i]
+        if ahead[e] + lanes.turn_steps[loaded, lanes.first_transition[e] + edge - lanes.first_out[v]] == here:
+            return int(e)
+    return -1
+
+
+@njit(cache=True)
+def _search_instead(field: Field, lanes: Lanes, counters: NDArray[np.int64]) -> None:
+    """Forget what has been read, and begin the search."""
+    field.states[:] = 0
+    field.meta[READ] = 0
+    _begin(field, lanes, counters)
 
 
 @njit(cache=True)

@@ -32,6 +32,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from controller.search.distances import Distances, Field, at_least, closed, distance_from, settle
+from controller.search.landmarks import Bounds
 from controller.search.reservations import AGENT, END, NEXT, START, ReservationTable
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes
 from controller.types import FOREVER, NEVER, Path, PlanAgent, PlanningProblem
@@ -141,10 +142,11 @@ class PathSearch:
         )  # fmt: skip
         d = self.distances
         field = d.field(agent.goal, agent.loaded, agent.vertex)
+        bounds = d.bounds(agent.goal, agent.loaded)
         bans = np.array(sorted(forbidden), dtype=np.int32).reshape(-1, 2)
         while True:
             last = _sipp(
-                query, table.rows, table.count, bans, field, d.space.lanes, d.blocked, self._no_rest,
+                query, table.rows, table.count, bans, field, bounds, d.space.lanes, d.blocked, self._no_rest,
                 self._memory, d.counters,
             )  # fmt: skip
             if last != FULL:
@@ -174,7 +176,7 @@ def _new_memory(nodes: int, edges: int) -> _Memory:
 
 @njit(cache=True)
 def _sipp(
-    query: IntArray, rows: IntArray, count: IntArray, bans: IntArray, field: Field, lanes: Lanes,
+    query: IntArray, rows: IntArray, count: IntArray, bans: IntArray, field: Field, bounds: Bounds, lanes: Lanes,
     blocked: NDArray[np.uint8], no_rest: NDArray[np.uint8], memory: _Memory, counters: NDArray[np.int64],
 ) -> int:  # fmt: skip
     """Number of the node at which the best path ends, or NONE, FULL or LIMIT."""
@@ -248,7 +250,7 @@ def _sipp(
                 continue
             h = 0
             if goal >= 0:
-                h = max(at_least(e, goal, field, lanes), nodes[n, H] - (depart - t) - steps)
+                h = max(at_least(e, goal, field, bounds, lanes), nodes[n, H] - (depart - t) - steps)
             if h < nearest and latest < 0 and count[w] > 0 and rows[w, count[w] - 1, END] >= FOREVER:
                 nearest = h
                 meta[BLOCKER] = rows[w, count[w] - 1, AGENT]
