@@ -169,6 +169,10 @@ class OneLineRun:
     def _under_way(self, robot: _Robot) -> bool:
         return robot.arrivals < 2 * self._setting.round_trips
 
+    def _has_to_drive(self, robot: _Robot) -> bool:
+        """It is under way, or has made way for another one after its last trip."""
+        return self._under_way(robot) or robot.at != robot.final
+
     # --- goals ----------------------------------------------------------------------------------------------------
 
     def _new_goal(self, robot: _Robot) -> None:
@@ -180,7 +184,7 @@ class OneLineRun:
 
     def _current_goals(self) -> None:
         """Who has to wait for a place goes to a bay on the way to it."""
-        final = {r.number: r.final for r in self._robots if self._under_way(r)}
+        final = {r.number: r.final for r in self._robots if self._has_to_drive(r)}
         x = self._graph.xy[:, 0]
         away = {n: float(abs(x[self._robots[n].at] - x[v])) for n, v in final.items()}
         ways = {v: sorted(self._refuges, key=lambda p: abs(x[p] - x[v])) for v in set(final.values())}
@@ -195,7 +199,7 @@ class OneLineRun:
         due = (self._step - self._planned) * STEP_S >= self._setting.timeout_s or not self._driving()
         if news or due:
             self._current_goals()
-        without = {r.number for r in self._robots if not r.ways and r.at != r.goal and self._under_way(r)}
+        without = {r.number for r in self._robots if not r.ways and r.at != r.goal and self._has_to_drive(r)}
         agents = news | without if news or due else set()
         meeting = self._meeting() if self._replanning and self._step % round(1 / STEP_S) == 0 else set()
         if not agents and not meeting:
