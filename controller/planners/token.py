@@ -45,7 +45,7 @@ class TokenOptions:
     passes: int = 2
     improvements: int = 3
     late_moves: int = 4
-    slack_moves: int = 4
+    slack_moves: int = 2
     through_slots: bool = False
 
 

@@ -163,6 +163,16 @@ def distance_from(
 
 
 @njit(cache=True)
+def start_at_least(
+    vertex: int, in_edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]
+) -> int:
+    """A bound below :func:`distance_from`: without the first turn where the way has been read from a table."""
+    if field.meta[READ] and vertex == field.meta[AIM]:
+        return int(field.meta[READ]) - 1
+    return distance_from(vertex, in_edge, field, lanes, blocked, counters)
+
+
+@njit(cache=True)
 def _best_way_out(vertex: int, in_edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8]) -> tuple[int, int]:
     """Remaining steps over the best closed edge, and the least turn towards one not closed, ``NEVER`` if all are."""
     states, loaded = field.states, field.meta[LOADED]

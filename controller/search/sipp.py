@@ -31,7 +31,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.search.distances import Distances, Field, at_least, closed, distance_from, settle
+from controller.search.distances import Distances, Field, at_least, closed, settle, start_at_least
 from controller.search.landmarks import Bounds
 from controller.search.reservations import AGENT, END, NEXT, START, ReservationTable
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes
@@ -39,10 +39,10 @@ from controller.types import FOREVER, NEVER, Path, PlanAgent, PlanningProblem
 from sumo_nets.graph import IntArray
 
 #: Columns of ``_Memory.nodes``. EDGE is -1 for the start; SLOT numbers the safe interval of the vertex, which lasts
-#: until LAST; T and LEAVE are the arrival and the departure before it; OLDER is the next node of the same edge; STALE
-#: is 1 once a better node has replaced it; FINAL is 1 where a path may end at arrival; EXACT is 1 when H is the
-#: distance and no bound below it.
-EDGE, VERTEX, SLOT, T, LEAVE, LAST, H, FKEY, PARENT, OLDER, STALE, FINAL, EXACT = range(13)
+#: until LAST; T and LEAVE are the arrival and the departure before it; OLDER is the next node of the same vertex;
+#: STALE is 1 once a better node has replaced it; FINAL is 1 where a path may end at arrival; EXACT is 1 when H is the
+#: distance and no bound below it; from TURNED on it can leave over any edge.
+EDGE, VERTEX, SLOT, T, LEAVE, LAST, H, FKEY, PARENT, OLDER, STALE, FINAL, EXACT, TURNED = range(14)
 
 #: Places of the query that the kernel reads.
 Q_VERTEX, Q_EDGE, Q_READY, Q_GOAL, Q_LOADED, Q_WINDOW, Q_PENALTY, Q_FOLLOWING, Q_LIMIT, Q_SLACK = range(10)
@@ -55,9 +55,9 @@ class _Memory(NamedTuple):
     """Search memory, reused without clearing.
 
     Attributes:
-        nodes: shape (N, 13), see the columns above.
+        nodes: shape (N, 14), see the columns above.
         open: shape (N,), binary heap of node numbers.
-        newest: shape (m, 2): newest node of each edge, valid if the second column is the current generation.
+        newest: shape (n, 2): newest node of each vertex, valid if the second column is the current generation.
         meta: number of nodes, size of OPEN, generation, blocking agent.
     """
 
@@ -87,7 +87,7 @@ class PathSearch:
         self.slack = slack
         self.blocker = -1
         self.limited = False
-        self._memory = _new_memory(1024, len(distances.space.lanes.tail))
+        self._memory = _new_memory(1024, len(distances.space.lanes.xy))
         self._no_rest: NDArray[np.uint8] = np.zeros(len(distances.blocked), dtype=np.uint8)
 
     def begin(self, problem: PlanningProblem) -> None:
@@ -165,11 +165,11 @@ class PathSearch:
         return Path(agent.agv, tuple(vertices), tuple(arrive), tuple(leave[1:]), until)
 
 
-def _new_memory(nodes: int, edges: int) -> _Memory:
+def _new_memory(nodes: int, vertices: int) -> _Memory:
     return _Memory(
-        np.zeros((nodes, 13), dtype=np.int32),
+        np.zeros((nodes, 14), dtype=np.int32),
         np.zeros(nodes, dtype=np.int32),
-        np.zeros((edges, 2), dtype=np.int32),
+        np.zeros((vertices, 2), dtype=np.int32),
         np.zeros(4, dtype=np.int32),
     )
 
@@ -195,11 +195,11 @@ def _sipp(
         return NONE
     h = 0
     if goal >= 0:
-        h = distance_from(start, query[Q_EDGE], field, lanes, blocked, counters)
+        h = start_at_least(start, query[Q_EDGE], field, lanes, blocked, counters)
         if h >= FOREVER:
             return NONE
     _generate(-1, start, 0, query[Q_READY], 0, _safe_until(rows, count, start, 0, window), h, True, -1,
-              query, no_rest, memory, counters)  # fmt: skip
+              query, no_rest, lanes, memory, counters)  # fmt: skip
     expanded = 0
     while meta[SIZE] > 0:
         n = memory.open[0]
@@ -274,7 +274,7 @@ def _sipp(
                     continue
                 if meta[NODES] == nodes.shape[0]:
                     return FULL
-                _generate(e, w, k, a, a - steps, end, h, closed(e, field), n, query, no_rest, memory, counters)
+                _generate(e, w, k, a, a - steps, end, h, closed(e, field), n, query, no_rest, lanes, memory, counters)
                 if end >= FOREVER:
                     break
     return wait_node
@@ -283,25 +283,30 @@ def _sipp(
 @njit(cache=True)
 def _generate(
     edge: int, vertex: int, slot: int, t: int, leave: int, last: int, h: int, exact: bool, parent: int,
-    query: IntArray, no_rest: NDArray[np.uint8], memory: _Memory, counters: NDArray[np.int64],
+    query: IntArray, no_rest: NDArray[np.uint8], lanes: Lanes, memory: _Memory, counters: NDArray[np.int64],
 ) -> None:  # fmt: skip
-    """Put a state on OPEN unless it has been reached as early; an older node of the same state becomes stale."""
+    """Put a state on OPEN unless another one can do all that it can; those that it makes useless become stale.
+
+    Of two nodes of one safe interval the later one is useless if both came over the same edge, or if the earlier one
+    has turned wherever it wants by then (and paths are complete: at the end of a window turns still to come count).
+    """
     nodes, newest, meta = memory.nodes, memory.newest, memory.meta
-    older = -1
-    if edge >= 0 and newest[edge, 1] == meta[GENERATION]:
-        older = newest[edge, 0]
+    complete = query[Q_WINDOW] >= FOREVER
+    turned = t + _longest_turn(edge, query, lanes)
+    older = newest[vertex, 0] if newest[vertex, 1] == meta[GENERATION] else -1
     other = older
     while other >= 0:
         if nodes[other, SLOT] == slot and not nodes[other, STALE]:
-            if nodes[other, T] <= t:
+            same = nodes[other, EDGE] == edge
+            if nodes[other, T] <= t if same else complete and nodes[other, TURNED] <= t:
                 return
-            nodes[other, STALE] = 1
+            if same or (complete and turned <= nodes[other, T]):
+                nodes[other, STALE] = 1
         other = nodes[other, OLDER]
     n = meta[NODES]
     meta[NODES] += 1
-    if edge >= 0:
-        newest[edge, 0] = n
-        newest[edge, 1] = meta[GENERATION]
+    newest[vertex, 0] = n
+    newest[vertex, 1] = meta[GENERATION]
     nodes[n, EDGE] = edge
     nodes[n, VERTEX] = vertex
     nodes[n, SLOT] = slot
@@ -314,12 +319,20 @@ def _generate(
     nodes[n, OLDER] = older
     nodes[n, STALE] = 0
     nodes[n, EXACT] = exact
+    nodes[n, TURNED] = turned
     if query[Q_GOAL] < 0:
         nodes[n, FINAL] = last >= FOREVER and not no_rest[vertex]
     else:
         nodes[n, FINAL] = last >= FOREVER and (vertex == query[Q_GOAL] or t >= query[Q_WINDOW])
     counters[GENERATED] += 1
     _push(n, memory, counters)
+
+
+@njit(cache=True)
+def _longest_turn(edge: int, query: IntArray, lanes: Lanes) -> int:
+    """Steps after which an AGV that came over an edge can leave over any other one."""
+    into = query[Q_EDGE] if edge < 0 else edge
+    return 0 if into < 0 else int(lanes.longest_turn[query[Q_LOADED], into])
 
 
 @njit(cache=True)

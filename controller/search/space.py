@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ class Lanes(NamedTuple):
         tail, head, first_out: as in ``Graph``.
         first_in, in_edges: the edges that enter vertex ``v`` are ``in_edges[first_in[v]:first_in[v + 1]]``.
         edge_steps, turn_steps, first_transition: as in ``Motion``.
+        longest_turn: the longest turn there is after each edge, shape (2, m); ``NEVER`` if one of them is impossible.
         xy: vertex positions in metres, shape (n, 2).
     """
 
@@ -32,6 +34,7 @@ class Lanes(NamedTuple):
     edge_steps: IntArray
     turn_steps: IntArray
     first_transition: IntArray
+    longest_turn: IntArray
     xy: FloatArray
 
 
@@ -58,6 +61,7 @@ class Space:
             edge_steps=_int32(motion.edge_steps),
             turn_steps=_int32(motion.turn_steps),
             first_transition=_int32(motion.first_transition),
+            longest_turn=_int32(_longest_turns(motion)),
             xy=np.array(graph.xy, dtype=np.float64),
         )
         self.rates = self._rates()
@@ -70,6 +74,15 @@ class Space:
             if real.any():
                 rates[:, k] = (self.lanes.edge_steps[:, real] / metres[real]).min(axis=1) * (1 - 1e-9)
         return rates
+
+
+def _longest_turns(motion: Motion) -> IntArray:
+    """See ``Lanes.longest_turn``; 0 after edges that end where none begins."""
+    first = motion.first_transition
+    turns = np.zeros((2, len(first) - 1), dtype=np.int32)
+    for e, (a, b) in enumerate(pairwise(first.tolist())):
+        turns[:, e] = motion.turn_steps[:, a:b].max(axis=1, initial=0)
+    return turns
 
 
 def _int32(a: IntArray | NDArray[np.int64]) -> IntArray:
