@@ -113,9 +113,9 @@ def reproduce(folder: Path, full: bool, workers: int = 2) -> None:
     rows = ROWS if full else QUICK_ROWS
     cases = [case for case in table_cases(rows) if full or case.rules != SUMO or _quick_in_sumo(case)]
     if full:
-        cases += [*park_and_fetch_cases(), *seed_cases()]
-    runs = run_cases(cases, workers)
-    runs.to_csv(folder / "thesis-runs.csv", index=False, float_format="%.6g")
+        cases += [*seed_cases(), *park_and_fetch_cases()]
+        cases.sort(key=lambda case: case.rules == SUMO)  # they take longest
+    runs = run_cases(cases, workers, folder / "thesis-runs.csv")
     tables = runs[runs["seed"].isna() & ~runs["extra"]]
     text = "".join(f"{METRICS[metric]}\n\n{metric_table(tables, metric)}\n" for metric in METRICS)
     if full:
@@ -169,14 +169,16 @@ def seed_cases() -> Iterator[Case]:
                 yield Case(garage, agvs, planner, FAIR, seed=seed)
 
 
-def run_cases(cases: Sequence[Case], workers: int) -> pd.DataFrame:
-    """Run cases in parallel processes; a row for each, in their order."""
+def run_cases(cases: Sequence[Case], workers: int, file: Path) -> pd.DataFrame:
+    """Run cases in parallel processes; a row for each, in their order, which is in the file as soon as it is known."""
     from parking_sim.executors import open_executor
 
     rows = []
     with open_executor(workers) as executor:
         for row in executor.map(run_case, cases):
             rows.append(row)
+            first = len(rows) == 1
+            pd.DataFrame([row]).to_csv(file, mode="w" if first else "a", header=first, index=False, float_format="%.6g")
             if sys.stderr.isatty():
                 print(f"\r{len(rows)} of {len(cases)} runs", end="", file=sys.stderr, flush=True)
     return pd.DataFrame(rows)
