@@ -113,7 +113,7 @@ class Lifelong:
         self.agvs = [Agv(n, v, v, AgvMode.GOING_TO_COLLECT) for n, v in enumerate(starts)]
         self.executor = Executor(graph, motion, starts)
         self.blocked = np.zeros(len(graph.names), dtype=np.uint8)
-        self.costs = Costs(graph, motion, self.blocked, keep=len(graph.names))
+        self.costs = Costs(graph, motion, self.blocked)
         self.events: dict[str, int] = {}
         settings = replace(control_options(planner), **control)
         self.planning = Planning(self.timed, settings, self.agvs, self.executor, RULES, self.costs, self._log)

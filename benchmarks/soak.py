@@ -1,6 +1,6 @@
 """All garages under mixed demand with every fault on at once: nothing may meet, lock up or get lost.
 
-    python benchmarks/soak.py [--full] [--steps 10e6] [--workers 1] [--planner whca,token] [--csv FILE]
+    python benchmarks/soak.py [--full] [--steps 10e6] [--workers 1] [--planner token,whca] [--csv FILE]
 
 The full form goes on with new seeds, and the next planner, until the runs with faults have made ``--steps`` AGV-steps;
 the small form makes one case per garage. The cases of the first seed are also run without faults on the same demand.
@@ -201,7 +201,7 @@ def main() -> int:
     parser.add_argument("--full", action="store_true")
     parser.add_argument("--steps", type=float, default=10e6)
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--planner", default="whca,token")
+    parser.add_argument("--planner", default="token,whca")
     parser.add_argument("--csv", type=Path)
     given = parser.parse_args()
     runs = plan_runs(given.full, given.steps, given.planner.split(","))

@@ -23,15 +23,15 @@ class Costs:
     Args:
         graph, motion: the garage and how long moves take.
         blocked: where nobody may drive now, shape (n,); looked at whenever ``around`` is called.
-        keep: tables kept; the one not used for longest goes first.
+        max_bytes: memory for tables; the one not used for longest goes first. There should be room for one an AGV.
 
     Attributes:
         expanded: vertices expanded so far.
     """
 
-    def __init__(self, graph: Graph, motion: Motion, blocked: NDArray[np.uint8], keep: int = 256) -> None:
+    def __init__(self, graph: Graph, motion: Motion, blocked: NDArray[np.uint8], max_bytes: int = 1 << 28) -> None:
         self._tables: OrderedDict[int, IntArray] = OrderedDict()
-        self._keep = keep
+        self._keep = max(256, max_bytes // (4 * len(graph.names)))
         into = np.argsort(graph.head, kind="stable").astype(np.int32)
         first = np.searchsorted(graph.head[into], np.arange(len(graph.names) + 1)).astype(np.int32)
         self._into = (first, graph.tail[into], motion.edge_steps[0][into])
