@@ -1,9 +1,15 @@
-"""A bound on throughput that no controller can pass, for cars handed over at the AGVs' homes (see docs/thesis.md).
+"""Bounds on throughput that no controller can pass: before a run, and for the tasks that a run has done.
+
+``least_steps``, for cars handed over at the AGVs' homes (see docs/thesis.md):
 
 Parking a car takes an AGV at least its quickest way from its home to the slot, the lowering, and the quickest way back
 before it can begin with the next one; fetching a car is the same with a lift. Nobody is ever in the way. All the work
 together, shared out evenly, is a time that no controller can beat. Charging is left out, and so is the way back from
 each AGV's last car of a run that only parks.
+
+``least_work``, for tasks of any kind, by the places between which they were done: the quickest ways with the cars, the
+lifts, and the ways without cars from the place where one task ends, or from home, to the one where another begins,
+paired off so that they are as short as possible in all. No order of the tasks needs less.
 """
 
 from __future__ import annotations
@@ -13,6 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from controller.rules import Rules
 from controller.search.distances import Distances
@@ -44,6 +51,34 @@ def least_steps(
         return math.ceil(int(park.sum() + fetch.sum()) / len(homes))
     back = int(empty[1].min(axis=0).max())
     return math.ceil(int(park.sum()) / len(homes)) - back
+
+
+def least_work(
+    graph: Graph, motion: Motion, rules: Rules, homes: Sequence[int], tasks: Sequence[tuple[int, int]]
+) -> int:
+    """Steps of all AGVs together that these tasks take at least.
+
+    Args:
+        graph, motion: the garage and how long moves take.
+        rules: how long lifting and lowering takes.
+        homes: home of each AGV.
+        tasks: for each task where the car is lifted and where it is lowered.
+
+    Returns:
+        Planning steps; ways home and charging are left out.
+    """
+    if not tasks:
+        return 0
+    distances = Distances(Space(graph, motion))
+    slots = set(graph.slots)
+    steps = 0
+    for origin, destination in tasks:
+        steps += distances.distance(origin, -1, destination, True)
+        steps += rules.lift_slot if origin in slots else rules.lift_bay
+        steps += rules.lower_slot if destination in slots else rules.lower_bay
+    before = [destination for _, destination in tasks] + list(homes)
+    empty = np.array([[distances.distance(v, -1, origin, False) for origin, _ in tasks] for v in before])
+    return int(steps + empty[linear_sum_assignment(empty)].sum())
 
 
 def _ways(

@@ -7,12 +7,18 @@
 Mixed traffic: half the slots are taken at the start, cars arrive several times faster than any fleet could serve them
 and are asked for after a short stay, so that there is always a car to park and one to fetch. One row a run, then means
 over the seeds as a table; CSV and figure with ``--csv`` and ``--figure``. ``--workers`` is the number of processes.
+
+``bound_share`` is the least work that the tasks done can take (``analysis.bound.least_work``, by the durations that
+plans are made with, which the plant undercuts by up to 5 %), over the time of all AGVs until each did its last task.
+``bays_busy`` is the share of the bays' time in which a customer or a car stands there.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import multiprocessing
+import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -20,7 +26,10 @@ from typing import Any
 
 import pandas as pd
 
-from parking_sim.config import load_scenario
+from analysis.bound import least_work
+from analysis.tables import load_run
+from parking_sim.assembly import assemble
+from parking_sim.config import Scenario, load_scenario
 from sumo_nets.read import read_net
 
 GARAGES = ("map1", "map2", "map3", "map1_thesis", "map2_thesis", "map3_thesis")
@@ -55,13 +64,31 @@ def run(case: Case) -> dict[str, Any]:
     given = {
         "agvs": agvs, "planner": planner, "seed": seed, "workload": traffic(minutes), "duration_s": 60 * minutes,
     }  # fmt: skip
-    summary = simulate(load_scenario(garage, given), None)
+    scenario = load_scenario(garage, {**given, "record": {"sample_s": 60.0, "plans": False}})
+    with tempfile.TemporaryDirectory() as folder:
+        summary = simulate(scenario, Path(folder) / "run")
+        tasks = load_run(Path(folder) / "run").tasks
     row: dict[str, Any] = {"garage": garage, "planner": planner, "agvs": agvs, "seed": seed, "status": summary.status}
     row |= {key: summary.metrics.get(key) for key in MEASURES}
     row["tasks_per_h"] = summary.metrics["tasks_done"] * 60 / minutes
     for p in ("p50", "p99"):
         row[f"planning_ms_per_agv_{p}"] = summary.metrics[f"wall_planning_step_{p}_ms"] / agvs
-    return row
+    return row | shares(scenario, tasks, minutes)
+
+
+def shares(scenario: Scenario, tasks: pd.DataFrame, minutes: float) -> dict[str, float]:
+    """How near the AGVs came to their bound, and the bays to theirs."""
+    world = assemble(scenario)
+    graph, bays = world.net.graph, {world.net.graph.names[v] for v in world.net.graph.bays}
+    done = tasks[tasks["delivered_s"].notna()]
+    places = [(graph.index[a], graph.index[b]) for a, b in zip(done["origin"], done["destination"], strict=True)]
+    work_s = least_work(graph, world.motion, world.rules, world.homes, places) * world.motion.step_s
+    left_s = done["done_s"].fillna(60 * minutes).where(done["destination"].isin(bays), done["lifted_s"])
+    came_s = done["at_bay_s"].where(done["origin"].isin(bays), done["delivered_s"])
+    return {
+        "bound_share": work_s / done.groupby("agv")["delivered_s"].max().sum() if len(done) else math.nan,
+        "bays_busy": float((left_s - came_s).sum()) / (len(bays) * 60 * minutes),
+    }
 
 
 def cases(given: argparse.Namespace) -> list[Case]:
@@ -95,7 +122,7 @@ def means(done: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     table = []
     for (garage, planner, agvs), group in sorted(cells.items()):
         line: dict[str, Any] = {"garage": garage, "planner": planner, "agvs": agvs, "runs": len(group)}
-        for key in ("tasks_per_h", "planning_ms_per_agv_p50", "planning_ms_per_agv_p99"):
+        for key in ("tasks_per_h", "bound_share", "bays_busy", "planning_ms_per_agv_p50", "planning_ms_per_agv_p99"):
             line[key] = round(sum(row[key] for row in group) / len(group), 3)
         for key in ("deadlocks_found", "deadlocks_resolved", "deadlocks_unresolved", "footprint_overlaps"):
             line[key] = sum(row[key] for row in group)

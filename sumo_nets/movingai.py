@@ -1,4 +1,4 @@
-"""MovingAI's grid maps (Sturtevant 2012, https://movingai.com/benchmarks) as graphs.
+"""MovingAI's grid maps and scenarios (Sturtevant 2012, https://movingai.com/benchmarks) as graphs and trips.
 
 A ``.map`` has ``.``, ``G`` and ``S`` for cells that can be entered; ``@``, ``O``, ``T`` and ``W`` can't. Cells are
 4-connected here, though the files say ``octile``, as is usual for multi-agent path finding. Warehouse maps of the
@@ -20,7 +20,7 @@ _ROLES: dict[str, Role] = {"e": "slot", "b": "bay", "r": "home"}
 
 
 class MovingAiError(ValueError):
-    """A file that is not a map; the message is one line."""
+    """A file that is not a map or a scenario; the message is one line."""
 
 
 def read_map(path: Path) -> Graph:
@@ -40,6 +40,37 @@ def read_map(path: Path) -> Graph:
     if len(rows) != height or any(len(row) != width for row in rows):
         raise MovingAiError(f"{path}: not {height} rows of {width} cells")
     return grid_graph(path.stem, rows)
+
+
+def read_scenario(path: Path, graph: Graph) -> list[tuple[int, int]]:
+    """Read the trips of a ``.scen`` file.
+
+    Args:
+        path: the file; its lines give bucket, map, width, height, x, y of start and goal, and a length.
+        graph: the map the trips are on.
+
+    Returns:
+        Start and goal vertex of each trip.
+
+    Raises:
+        MovingAiError: it can't be read, is not a scenario, or does not fit the map.
+    """
+    lines = _lines(path)
+    if not lines or not lines[0].startswith("version"):
+        raise MovingAiError(f"{path}: not a MovingAI scenario: the first line does not give a version")
+    return [_trip(path, number, line, graph) for number, line in enumerate(lines[1:], start=2) if line.strip()]
+
+
+def _trip(path: Path, number: int, line: str, graph: Graph) -> tuple[int, int]:
+    try:
+        *_, x, y, goal_x, goal_y, _length = line.split()
+        ends = [f"{int(x)},{int(y)}", f"{int(goal_x)},{int(goal_y)}"]
+    except ValueError:
+        raise MovingAiError(f"{path}: line {number}: not bucket, map, size, start, goal and length") from None
+    for cell in ends:
+        if cell not in graph.index:
+            raise MovingAiError(f"{path}: line {number}: {cell} is no free cell of {graph.name}")
+    return graph.index[ends[0]], graph.index[ends[1]]
 
 
 def grid_graph(name: str, rows: Sequence[str], cell_m: float = 1.0) -> Graph:

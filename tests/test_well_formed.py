@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sumo_nets.graph import make_graph
-from sumo_nets.movingai import MovingAiError, grid_graph, read_map
+from sumo_nets.movingai import grid_graph
 from sumo_nets.read import read_net
 from sumo_nets.well_formed import blocked_ways, describe
 
@@ -47,15 +47,3 @@ def test_a_slot_in_the_aisle_is_named():
     assert describe(graph) == (
         "not well-formed: every way from 0,0 to 4,0 and 1 other ways leads through another end point"
     )
-
-
-def test_a_map_of_movingai_is_read_and_anything_else_refused_in_a_line(tmp_path):
-    path = tmp_path / "little.map"
-    path.write_text("type octile\nheight 2\nwidth 3\nmap\ne.@\n@.r\n", encoding="utf-8")
-    graph = read_map(path)
-    assert set(graph.names) == {"0,0", "1,0", "1,1", "2,1"}
-    assert len(graph.head) == 6
-    assert [graph.names[v] for v in (*graph.slots, *graph.homes)] == ["0,0", "2,1"]
-    path.write_text("type octile\nheight 3\nwidth 3\nmap\ne.@\n", encoding="utf-8")
-    with pytest.raises(MovingAiError, match="not 3 rows of 3 cells"):
-        read_map(path)
