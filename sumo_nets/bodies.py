@@ -23,6 +23,8 @@ MIN_LANE_M = AGV_LENGTH_M + 0.3
 MIN_GAP_M = 0.2
 #: A moving body is looked at each time its front has come this much further.
 _SAMPLE_M = 0.4
+#: The same where a rear must be clear of others, and the room left then.
+_CLEAR_SAMPLE_M = 0.05
 _FOLD_COSINE = -0.9
 #: Moving bodies looked at in one go; bounds the memory.
 _BATCH = 20_000
@@ -99,6 +101,35 @@ def closest_moving(tail: IntArray, head: IntArray, shapes: Sequence[FloatArray])
         if found is not None and (least is None or found.gap_m < least.gap_m):
             least = found
     return least
+
+
+def clear_of_entering(entering: Sequence[FloatArray], leaving: FloatArray, least_m: float) -> float:
+    """How far a rear must be along a lane that it drives off by, for nobody who drives in to touch the body.
+
+    On a slanted lane a body's corner comes across the lanes beside it before it is where it stops.
+    Who only swings in from a lane before that one is not looked at: that is farther off.
+
+    Args:
+        entering: centre lines of the lanes into a vertex, in driving direction.
+        leaving: centre line from the vertex's centre on, of the lane that is driven off by.
+        least_m: at least so far from the centre.
+
+    Returns:
+        Metres from the vertex's centre; at most where the body ends with the lane.
+    """
+    most_m = _length(leaving) - AGV_LENGTH_M
+    rears = np.append(np.arange(least_m, most_m, _CLEAR_SAMPLE_M), most_m)
+    if most_m <= least_m or not entering:
+        return least_m
+    off = _bodies(_interpolate(leaving, rears), _interpolate(leaving, rears + AGV_LENGTH_M))
+    driven = []
+    for shape in entering:
+        fronts = np.append(np.arange(AGV_LENGTH_M, _length(shape), _CLEAR_SAMPLE_M), _length(shape))
+        driven.append(_bodies(_interpolate(shape, fronts - AGV_LENGTH_M), _interpolate(shape, fronts)))
+    onto = np.concatenate(driven)
+    gaps = _gaps(np.repeat(off, len(onto), axis=0), np.tile(onto, (len(off), 1))).reshape(len(off), -1)
+    touching = np.flatnonzero(gaps.min(axis=1) < _CLEAR_SAMPLE_M)
+    return float(rears[min(touching[-1] + 1, len(rears) - 1)]) if len(touching) else least_m
 
 
 def driving_bodies(

@@ -32,6 +32,7 @@ from controller.types import Act, Action, Advance, AgvState, CallForward, Comman
 from parking_sim.footprint import Bodies
 from parking_sim.plants import AgvSample, PlantEvent
 from parking_sim.plants.sumo_agv import AgvType, sumo_motion
+from parking_sim.plants.sumo_clearance import rear_clearances
 from parking_sim.plants.sumo_customers import Customers, StreetState
 from parking_sim.plants.sumo_files import EMPTY, LOADED, agv_name, output_options, write_run
 from sumo_nets.graph import Graph
@@ -39,8 +40,6 @@ from sumo_nets.graph import Graph
 if TYPE_CHECKING:
     from sumo_nets.read import GarageNet
 
-#: A vertex is free once the rear has passed its centre by half the width of another AGV and this many metres.
-REAR_MARGIN_M = 0.05
 #: Steps between two readings of a battery.
 BATTERY_STEPS = 120
 #: Steps SUMO may take to bring all AGVs to a stand at the start.
@@ -297,30 +296,17 @@ class SumoPlant:
         self._lane_m = [lane.getLength(f"{name}_0") for name in graph.edge_names]
         self._before_m: list[float] = []  # from the centre of the tail's node to the lane's begin
         self._pitch_m: list[float] = []  # from centre to centre
-        self._clear_m: list[float] = []  # from the tail's centre to where a rear is out of the way there
-        for e, name in enumerate(graph.edge_names):
-            shape = garage.shapes[e]
+        for e, shape in enumerate(garage.shapes):
             before = math.dist(shape[0], graph.xy[graph.tail[e]])
             self._before_m.append(before)
             self._pitch_m.append(before + self._lane_m[e] + math.dist(shape[-1], graph.xy[graph.head[e]]))
-            clear, stands = self._clearance(garage, e), before + self._lane_m[e] - self.agv_type.length_m
-            self._clear_m.append(clear)
-            if stands < clear - 1e-6:
+        # from the tail's centre to where a rear is out of the way there
+        self._clear_m = rear_clearances(garage, self.agv_type, self._lane_m, self._before_m)
+        for e, name in enumerate(graph.edge_names):
+            if self._before_m[e] + self._lane_m[e] - self.agv_type.length_m < self._clear_m[e] - 1e-6:
                 raise PlantError(f"edge {name} is too short: an AGV that stands on it touches the vertex behind it")
         for station in garage.charging_station_of_edge.values():
             self._api.chargingstation.setChargingPower(station, self.agv_type.charge_w)
-
-    def _clearance(self, garage: GarageNet, e: int) -> float:
-        """How far a rear must be from the edge's tail vertex to be out of everybody's way there.
-
-        Half a body's width, and on a spur with a bend the whole slanted part: two slots share one vertex, and the body
-        of an AGV that leaves one swings over the roots of both.
-        """
-        across = self.agv_type.width_m / 2 + REAR_MARGIN_M
-        shape = garage.shapes[e]
-        along = np.cumsum(np.hypot(*np.diff(shape, axis=0).T))[:-1] + self._before_m[e]
-        room = self._before_m[e] + self._lane_m[e] - self.agv_type.length_m
-        return max([across, *(float(bend) for bend in along if bend <= room)])
 
     def _new_agv(self, index: int, edge: int) -> _Agv:
         # the scale of at_m starts at the start vertex, so the lane's begin lies one pitch behind it
