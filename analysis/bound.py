@@ -70,15 +70,38 @@ def least_work(
     if not tasks:
         return 0
     distances = Distances(Space(graph, motion))
+    steps = _with_cars(distances, graph, rules, tasks)
+    before = [destination for _, destination in tasks] + list(homes)
+    empty = np.array([[distances.distance(v, -1, origin, False) for origin, _ in tasks] for v in before])
+    return int(steps + empty[linear_sum_assignment(empty)].sum())
+
+
+def work_alone(graph: Graph, motion: Motion, rules: Rules, home: int, tasks: Sequence[tuple[int, int]]) -> int:
+    """Steps that one AGV takes for its tasks in this order with nobody in its way, and no customer to wait for.
+
+    Args:
+        graph, motion, rules: see :func:`least_work`.
+        home: where it starts.
+        tasks: where the car is lifted and where it is lowered, in the order of its tasks.
+
+    Returns:
+        Planning steps until the last car is down.
+    """
+    distances = Distances(Space(graph, motion))
+    before = [home, *(destination for _, destination in tasks)]
+    empty = (distances.distance(v, -1, origin, False) for v, (origin, _) in zip(before, tasks, strict=False))
+    return _with_cars(distances, graph, rules, tasks) + sum(empty)
+
+
+def _with_cars(distances: Distances, graph: Graph, rules: Rules, tasks: Sequence[tuple[int, int]]) -> int:
+    """Steps of the tasks themselves: lifts, and the quickest ways with the cars."""
     slots = set(graph.slots)
     steps = 0
     for origin, destination in tasks:
         steps += distances.distance(origin, -1, destination, True)
         steps += rules.lift_slot if origin in slots else rules.lift_bay
         steps += rules.lower_slot if destination in slots else rules.lower_bay
-    before = [destination for _, destination in tasks] + list(homes)
-    empty = np.array([[distances.distance(v, -1, origin, False) for origin, _ in tasks] for v in before])
-    return int(steps + empty[linear_sum_assignment(empty)].sum())
+    return steps
 
 
 def _ways(

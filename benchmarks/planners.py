@@ -10,6 +10,8 @@ over the seeds as a table; CSV and figure with ``--csv`` and ``--figure``. ``--w
 
 ``bound_share`` is the least work that the tasks done can take (``analysis.bound.least_work``, by the durations that
 plans are made with, which the plant undercuts by up to 5 %), over the time of all AGVs until each did its last task.
+``alone_share`` is the same for each AGV's own tasks in the order in which it did them, as if it were alone and no
+customer had to be waited for: what is lost there is lost to others, what lies between the two to dispatch.
 ``bays_busy`` is the share of the bays' time in which a customer or a car stands there.
 """
 
@@ -26,7 +28,7 @@ from typing import Any
 
 import pandas as pd
 
-from analysis.bound import least_work
+from analysis.bound import least_work, work_alone
 from analysis.tables import load_run
 from parking_sim.assembly import assemble
 from parking_sim.config import Scenario, load_scenario
@@ -82,11 +84,17 @@ def shares(scenario: Scenario, tasks: pd.DataFrame, minutes: float) -> dict[str,
     graph, bays = world.net.graph, {world.net.graph.names[v] for v in world.net.graph.bays}
     done = tasks[tasks["delivered_s"].notna()]
     places = [(graph.index[a], graph.index[b]) for a, b in zip(done["origin"], done["destination"], strict=True)]
-    work_s = least_work(graph, world.motion, world.rules, world.homes, places) * world.motion.step_s
+    step_s, time_s = world.motion.step_s, float(done.groupby("agv")["delivered_s"].max().sum())
+    work_s = least_work(graph, world.motion, world.rules, world.homes, places) * step_s
+    alone_s = 0.0
+    for agv, own in done.sort_values("assigned_s").groupby("agv"):
+        places = [(graph.index[a], graph.index[b]) for a, b in zip(own["origin"], own["destination"], strict=True)]
+        alone_s += work_alone(graph, world.motion, world.rules, world.homes[int(str(agv))], places) * step_s
     left_s = done["done_s"].fillna(60 * minutes).where(done["destination"].isin(bays), done["lifted_s"])
     came_s = done["at_bay_s"].where(done["origin"].isin(bays), done["delivered_s"])
     return {
-        "bound_share": work_s / done.groupby("agv")["delivered_s"].max().sum() if len(done) else math.nan,
+        "bound_share": work_s / time_s if len(done) else math.nan,
+        "alone_share": alone_s / time_s if len(done) else math.nan,
         "bays_busy": float((left_s - came_s).sum()) / (len(bays) * 60 * minutes),
     }
 
@@ -122,7 +130,14 @@ def means(done: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     table = []
     for (garage, planner, agvs), group in sorted(cells.items()):
         line: dict[str, Any] = {"garage": garage, "planner": planner, "agvs": agvs, "runs": len(group)}
-        for key in ("tasks_per_h", "bound_share", "bays_busy", "planning_ms_per_agv_p50", "planning_ms_per_agv_p99"):
+        for key in (
+            "tasks_per_h",
+            "bound_share",
+            "alone_share",
+            "bays_busy",
+            "planning_ms_per_agv_p50",
+            "planning_ms_per_agv_p99",
+        ):
             line[key] = round(sum(row[key] for row in group) / len(group), 3)
         for key in ("deadlocks_found", "deadlocks_resolved", "deadlocks_unresolved", "footprint_overlaps"):
             line[key] = sum(row[key] for row in group)

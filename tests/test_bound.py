@@ -7,7 +7,7 @@ from brute_force import bodies, garages
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from analysis.bound import least_work
+from analysis.bound import least_work, work_alone
 from controller.search.distances import Distances
 from controller.search.space import Space
 from controller.types import FOREVER
@@ -35,5 +35,7 @@ def test_no_order_of_the_tasks_takes_less_than_the_bound_and_one_task_takes_just
     assume(best < FOREVER)
     bound = least_work(graph, motion, rules, [home], tasks)
     assert bound <= best + lifts + lowers
+    if steps(tasks) < FOREVER:
+        assert work_alone(graph, motion, rules, home, tasks) == steps(tasks) + lifts + lowers
     if len(tasks) == 1 and steps([tasks[0]]) <= distances.distance(tasks[0][1], -1, tasks[0][0], False):
         assert bound == best + lifts + lowers
