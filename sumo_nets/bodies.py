@@ -23,8 +23,9 @@ MIN_LANE_M = AGV_LENGTH_M + 0.3
 MIN_GAP_M = 0.2
 #: A moving body is looked at each time its front has come this much further.
 _SAMPLE_M = 0.4
-#: The same where a rear must be clear of others, and the room left then.
-_CLEAR_SAMPLE_M = 0.05
+#: The same where a rear has to be clear of others, and the room left then.
+_CLEAR_STEP_M = 0.15
+CLEAR_M = 0.05
 _FOLD_COSINE = -0.9
 #: Moving bodies looked at in one go; bounds the memory.
 _BATCH = 20_000
@@ -103,14 +104,14 @@ def closest_moving(tail: IntArray, head: IntArray, shapes: Sequence[FloatArray])
     return least
 
 
-def clear_of_entering(entering: Sequence[FloatArray], leaving: FloatArray, least_m: float) -> float:
-    """How far a rear must be along a lane that it drives off by, for nobody who drives in to touch the body.
+def clear_of_ways(ways: Sequence[FloatArray], leaving: FloatArray, least_m: float) -> float:
+    """How far a rear must be along a lane that it drives off by, for nobody on the ways behind it to touch the body.
 
-    On a slanted lane a body's corner comes across the lanes beside it before it is where it stops.
-    Who only swings in from a lane before that one is not looked at: that is farther off.
+    On a slanted lane a body's corner comes across the lanes beside it before it is where it stops, and in a turn its
+    rear swings out.
 
     Args:
-        entering: centre lines of the lanes into a vertex, in driving direction.
+        ways: lines that others may drive along, from the beginning of the lane by which they come.
         leaving: centre line from the vertex's centre on, of the lane that is driven off by.
         least_m: at least so far from the centre.
 
@@ -118,18 +119,31 @@ def clear_of_entering(entering: Sequence[FloatArray], leaving: FloatArray, least
         Metres from the vertex's centre; at most where the body ends with the lane.
     """
     most_m = _length(leaving) - AGV_LENGTH_M
-    rears = np.append(np.arange(least_m, most_m, _CLEAR_SAMPLE_M), most_m)
-    if most_m <= least_m or not entering:
+    if most_m <= least_m or not ways:
         return least_m
+    rears = np.append(np.arange(least_m, most_m, _CLEAR_STEP_M), most_m)
     off = _bodies(_interpolate(leaving, rears), _interpolate(leaving, rears + AGV_LENGTH_M))
     driven = []
-    for shape in entering:
-        fronts = np.append(np.arange(AGV_LENGTH_M, _length(shape), _CLEAR_SAMPLE_M), _length(shape))
-        driven.append(_bodies(_interpolate(shape, fronts - AGV_LENGTH_M), _interpolate(shape, fronts)))
-    onto = np.concatenate(driven)
-    gaps = _gaps(np.repeat(off, len(onto), axis=0), np.tile(onto, (len(off), 1))).reshape(len(off), -1)
-    touching = np.flatnonzero(gaps.min(axis=1) < _CLEAR_SAMPLE_M)
+    for way in ways:
+        fronts = np.append(np.arange(AGV_LENGTH_M, _length(way), _CLEAR_STEP_M), _length(way))
+        driven.append(_bodies(_interpolate(way, fronts - AGV_LENGTH_M), _interpolate(way, fronts)))
+    others = np.concatenate(driven)
+    gaps = _gaps(np.repeat(off, len(others), axis=0), np.tile(others, (len(off), 1))).reshape(len(off), -1)
+    touching = np.flatnonzero(gaps.min(axis=1) < CLEAR_M)
     return float(rears[min(touching[-1] + 1, len(rears) - 1)]) if len(touching) else least_m
+
+
+def ways_past(into: Sequence[FloatArray], out_of: Sequence[FloatArray]) -> list[FloatArray]:
+    """Lines along which a vertex can be driven to and through.
+
+    Args:
+        into, out_of: centre lines of lanes into a vertex and out of it, in driving direction.
+
+    Returns:
+        Each lane in alone, and each with each lane out but for those that fold back.
+    """
+    through = [np.concatenate([a, b]) for a in into for b in out_of if not _folds_back(a, b)]
+    return [*into, *through]
 
 
 def driving_bodies(

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from parking_sim.plants.sumo_agv import AgvType
-from sumo_nets.bodies import clear_of_entering
+from sumo_nets.bodies import clear_of_ways, ways_past
 from sumo_nets.graph import FloatArray
 from sumo_nets.read import GarageNet
 
@@ -21,8 +22,8 @@ def rear_clearances(
     """For each edge how far a rear must be from its tail vertex to be out of everybody's way there.
 
     Half a body's width, and on a spur with a bend the whole slanted part: two slots share one vertex, and the body of
-    an AGV that leaves one swings over the roots of both. On lanes beside such a spur as far as bodies swing that come
-    out of it.
+    an AGV that leaves one swings over the roots of both. Farther where bodies swing that come out of a spur beside
+    the edge or turn at the vertex.
 
     Args:
         garage: the garage.
@@ -34,29 +35,33 @@ def rear_clearances(
         Metres from the centre of the tail vertex, by edge.
     """
     graph = garage.graph
-    spurs_into: dict[int, list[int]] = {}
+    into: list[list[int]] = [[] for _ in graph.names]
     for f, head in enumerate(graph.head.tolist()):
-        if len(garage.shapes[f]) > 2:
-            spurs_into.setdefault(head, []).append(f)
-    known: dict[bytes, float] = {}  # garages repeat a few shapes
+        into[head].append(f)
     clear = []
     for e, (tail, head) in enumerate(zip(graph.tail.tolist(), graph.head.tolist(), strict=True)):
-        least = _alone(garage.shapes[e], before_m[e], lane_m[e], agv_type)
         here = graph.xy[tail]
-        spurs = [garage.shapes[f] - here for f in spurs_into.get(tail, ()) if graph.tail[f] != head]
-        leaving = np.vstack((np.zeros(2), garage.shapes[e] - here))
-        clear.append(_beside_spurs(spurs, leaving, least, known) if spurs else least)
+        out = range(int(graph.first_out[tail]), int(graph.first_out[tail + 1]))
+        own = _line(np.vstack((here, garage.shapes[e])), here)
+        entering = tuple(_line(garage.shapes[f], here) for f in into[tail] if graph.tail[f] != head)
+        leaving = tuple(_line(garage.shapes[g], here) for g in out if g != e)
+        clear.append(_clear_m(own, entering, leaving, _alone(garage.shapes[e], before_m[e], lane_m[e], agv_type)))
     return clear
+
+
+def _line(shape: FloatArray, here: FloatArray) -> bytes:
+    """A centre line as seen from a vertex, to the centimetre."""
+    return np.round(shape - here, 2).tobytes()
+
+
+@lru_cache(maxsize=1 << 12)
+def _clear_m(own: bytes, entering: tuple[bytes, ...], leaving: tuple[bytes, ...], least_m: float) -> float:
+    """Garages repeat a few shapes, and sweeps a few garages."""
+    lines = [[np.frombuffer(line).reshape(-1, 2) for line in group] for group in ((own,), entering, leaving)]
+    return clear_of_ways(ways_past(lines[1], lines[2]), lines[0][0], least_m)
 
 
 def _alone(shape: FloatArray, before_m: float, lane_m: float, agv_type: AgvType) -> float:
     along = np.cumsum(np.hypot(*np.diff(shape, axis=0).T))[:-1] + before_m
     room = before_m + lane_m - agv_type.length_m
     return max([agv_type.width_m / 2 + REAR_MARGIN_M, *(float(bend) for bend in along if bend <= room)])
-
-
-def _beside_spurs(spurs: list[FloatArray], leaving: FloatArray, least_m: float, known: dict[bytes, float]) -> float:
-    key = b"|".join(np.round(line, 2).tobytes() for line in (leaving, *spurs, np.array([[least_m, 0.0]])))
-    if key not in known:
-        known[key] = clear_of_entering(spurs, leaving, least_m)
-    return known[key]
