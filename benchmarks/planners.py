@@ -90,12 +90,16 @@ def shares(scenario: Scenario, tasks: pd.DataFrame, minutes: float) -> dict[str,
     for agv, own in done.sort_values("assigned_s").groupby("agv"):
         places = [(graph.index[a], graph.index[b]) for a, b in zip(own["origin"], own["destination"], strict=True)]
         alone_s += work_alone(graph, world.motion, world.rules, world.homes[int(str(agv))], places) * step_s
-    left_s = done["done_s"].fillna(60 * minutes).where(done["destination"].isin(bays), done["lifted_s"])
-    came_s = done["at_bay_s"].where(done["origin"].isin(bays), done["delivered_s"])
+    standing = pd.concat(
+        [
+            tasks["lifted_s"].fillna(60 * minutes)[tasks["origin"].isin(bays)] - tasks["at_bay_s"],
+            tasks["done_s"].fillna(60 * minutes)[tasks["destination"].isin(bays)] - tasks["delivered_s"],
+        ]
+    )
     return {
         "bound_share": work_s / time_s if len(done) else math.nan,
         "alone_share": alone_s / time_s if len(done) else math.nan,
-        "bays_busy": float((left_s - came_s).sum()) / (len(bays) * 60 * minutes),
+        "bays_busy": float(standing.sum()) / (len(bays) * 60 * minutes),
     }
 
 
