@@ -12,7 +12,7 @@ over the seeds as a table; CSV and figure with ``--csv`` and ``--figure``. ``--w
 plans are made with, which the plant undercuts by up to 5 %), over the time of all AGVs until each did its last task.
 ``alone_share`` is the same for each AGV's own tasks in the order in which it did them, as if it were alone and no
 customer had to be waited for: what is lost there is lost to others, what lies between the two to dispatch.
-``bays_busy`` is the share of the bays' time in which a customer or a car stands there.
+``cars_at_bay`` is the mean number of cars at a bay: those to be parked, and those given back until they drive off.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def shares(scenario: Scenario, tasks: pd.DataFrame, minutes: float) -> dict[str,
     return {
         "bound_share": work_s / time_s if len(done) else math.nan,
         "alone_share": alone_s / time_s if len(done) else math.nan,
-        "bays_busy": float(standing.sum()) / (len(bays) * 60 * minutes),
+        "cars_at_bay": float(standing.sum()) / (len(bays) * 60 * minutes),
     }
 
 
@@ -138,7 +138,7 @@ def means(done: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             "tasks_per_h",
             "bound_share",
             "alone_share",
-            "bays_busy",
+            "cars_at_bay",
             "planning_ms_per_agv_p50",
             "planning_ms_per_agv_p99",
         ):
