@@ -17,6 +17,7 @@ from sumo_nets.graph import FloatArray, IntArray
 #: Body of an AGV, loaded or not. On the 6.5 m cells of the thesis 5 m would touch an AGV ahead in a 90-degree turn.
 AGV_LENGTH_M = 4.7
 AGV_WIDTH_M = 2.0
+AGV_SIZE_M = (AGV_LENGTH_M, AGV_WIDTH_M)
 #: Least lane length on which an AGV may stand: its body and a margin for where SUMO stops it.
 MIN_LANE_M = AGV_LENGTH_M + 0.3
 #: AGVs closer than this count as a mistake of the layout.
@@ -104,7 +105,9 @@ def closest_moving(tail: IntArray, head: IntArray, shapes: Sequence[FloatArray])
     return least
 
 
-def clear_of_ways(ways: Sequence[FloatArray], leaving: FloatArray, least_m: float) -> float:
+def clear_of_ways(
+    ways: Sequence[FloatArray], leaving: FloatArray, least_m: float, size_m: tuple[float, float] = AGV_SIZE_M
+) -> float:
     """How far a rear must be along a lane that it drives off by, for nobody on the ways behind it to touch the body.
 
     On a slanted lane a body's corner comes across the lanes beside it before it is where it stops, and in a turn its
@@ -114,21 +117,23 @@ def clear_of_ways(ways: Sequence[FloatArray], leaving: FloatArray, least_m: floa
         ways: lines that others may drive along, from the beginning of the lane by which they come.
         leaving: centre line from the vertex's centre on, of the lane that is driven off by.
         least_m: at least so far from the centre.
+        size_m: length and width of the bodies.
 
     Returns:
         Metres from the vertex's centre; at most where the body ends with the lane.
     """
-    most_m = _length(leaving) - AGV_LENGTH_M
+    length_m = size_m[0]
+    most_m = _length(leaving) - length_m
     if most_m <= least_m or not ways:
         return least_m
     rears = np.append(np.arange(least_m, most_m, _CLEAR_STEP_M), most_m)
-    off = _bodies(_interpolate(leaving, rears), _interpolate(leaving, rears + AGV_LENGTH_M))
+    off = _bodies(_interpolate(leaving, rears), _interpolate(leaving, rears + length_m), length_m)
     driven = []
     for way in ways:
-        fronts = np.append(np.arange(AGV_LENGTH_M, _length(way), _CLEAR_STEP_M), _length(way))
-        driven.append(_bodies(_interpolate(way, fronts - AGV_LENGTH_M), _interpolate(way, fronts)))
+        fronts = np.append(np.arange(length_m, _length(way), _CLEAR_STEP_M), _length(way))
+        driven.append(_bodies(_interpolate(way, fronts - length_m), _interpolate(way, fronts), length_m))
     others = np.concatenate(driven)
-    gaps = _gaps(np.repeat(off, len(others), axis=0), np.tile(others, (len(off), 1))).reshape(len(off), -1)
+    gaps = _gaps(np.repeat(off, len(others), axis=0), np.tile(others, (len(off), 1)), size_m).reshape(len(off), -1)
     touching = np.flatnonzero(gaps.min(axis=1) < CLEAR_M)
     return float(rears[min(touching[-1] + 1, len(rears) - 1)]) if len(touching) else least_m
 
@@ -198,10 +203,10 @@ def _interpolate(shape: FloatArray, at_m: FloatArray) -> FloatArray:
     return np.stack([np.interp(at_m, along, shape[:, 0]), np.interp(at_m, along, shape[:, 1])], axis=1)
 
 
-def _bodies(rears: FloatArray, fronts: FloatArray) -> FloatArray:
+def _bodies(rears: FloatArray, fronts: FloatArray, length_m: float = AGV_LENGTH_M) -> FloatArray:
     axes = fronts - rears
     axes = axes / np.hypot(axes[:, 0], axes[:, 1])[:, None]
-    return np.concatenate([fronts - axes * (AGV_LENGTH_M / 2), axes], axis=1)
+    return np.concatenate([fronts - axes * (length_m / 2), axes], axis=1)
 
 
 def _twins(tail: IntArray, head: IntArray, a: IntArray, b: IntArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -243,19 +248,19 @@ def _least(
     return ClosestBodies(float(gaps[least]), int(lane_of_a[a[least]]), int(b[least]))
 
 
-def _gaps(a: FloatArray, b: FloatArray) -> FloatArray:
+def _gaps(a: FloatArray, b: FloatArray, size_m: tuple[float, float] = AGV_SIZE_M) -> FloatArray:
     """Room between pairs of bodies, shape (n,): the widest gap along any of their four axes."""
     between = b[:, :2] - a[:, :2]
     room = np.full(len(a), -np.inf)
     for axes in (a[:, 2:], b[:, 2:]):
         for axis in (axes, np.stack([-axes[:, 1], axes[:, 0]], axis=1)):
             apart = np.abs(between[:, 0] * axis[:, 0] + between[:, 1] * axis[:, 1])
-            room = np.maximum(room, apart - _half_extent(a, axis) - _half_extent(b, axis))
+            room = np.maximum(room, apart - _half_extent(a, axis, size_m) - _half_extent(b, axis, size_m))
     return room
 
 
-def _half_extent(body: FloatArray, axis: FloatArray) -> FloatArray:
+def _half_extent(body: FloatArray, axis: FloatArray, size_m: tuple[float, float]) -> FloatArray:
     along = np.abs(body[:, 2] * axis[:, 0] + body[:, 3] * axis[:, 1])
     across = np.abs(body[:, 2] * axis[:, 1] - body[:, 3] * axis[:, 0])
-    extent: FloatArray = along * (AGV_LENGTH_M / 2) + across * (AGV_WIDTH_M / 2)
+    extent: FloatArray = along * (size_m[0] / 2) + across * (size_m[1] / 2)
     return extent

@@ -12,14 +12,12 @@ from parking_sim.plants.sumo_clearance import rear_clearances
 from sumo_nets.doors import one_door_each
 from sumo_nets.read import read_net
 
-BODY = AgvType()
 
-
-def body(way, rear_m):
+def body(kind, way, rear_m):
     """The rectangle of an AGV whose rear and front are on a line."""
-    rear, front = (np.array(way.interpolate(at).coords[0]) for at in (rear_m, rear_m + BODY.length_m))
+    rear, front = (np.array(way.interpolate(at).coords[0]) for at in (rear_m, rear_m + kind.length_m))
     ahead = (front - rear) / math.dist(rear, front)
-    back, side = front - BODY.length_m * ahead, np.array([-ahead[1], ahead[0]]) * BODY.width_m / 2
+    back, side = front - kind.length_m * ahead, np.array([-ahead[1], ahead[0]]) * kind.width_m / 2
     return Polygon([front + side, front - side, back - side, back + side])
 
 
@@ -37,17 +35,22 @@ def ways_past(graph, shapes, e):
                     yield LineString([*shapes[f], *shapes[g]])
 
 
-@pytest.mark.parametrize(("name", "every"), [("map1", 7), ("map2", 61)])
-def test_nobody_who_drives_past_a_vertex_touches_who_has_left_it(name, every):
+SMALL = AgvType(length_m=4.2, width_m=1.7)
+
+
+@pytest.mark.parametrize(
+    ("name", "every", "kind"), [("map1", 7, AgvType()), ("map1", 7, SMALL), ("map2", 61, AgvType())]
+)
+def test_nobody_who_drives_past_a_vertex_touches_who_has_left_it(name, every, kind):
     garage = one_door_each(read_net(load_scenario(name, {}).garage_source))
     graph = garage.graph
     before = [math.dist(shape[0], graph.xy[v]) for shape, v in zip(garage.shapes, graph.tail, strict=True)]
-    clear = rear_clearances(garage, BODY, [LineString(shape).length for shape in garage.shapes], before)
+    clear = rear_clearances(garage, kind, [LineString(shape).length for shape in garage.shapes], before)
     needed = 0
     for e in range(0, len(graph.head), every):
         own = LineString([graph.xy[graph.tail[e]], *garage.shapes[e]])
         ways = ways_past(graph, garage.shapes, e)
-        swept = [body(way, at) for way in ways for at in np.arange(0.0, way.length - BODY.length_m, 0.11)]
-        assert not any(body(own, clear[e]).intersects(other) for other in swept)
-        needed += any(body(own, BODY.width_m / 2 + 0.05).intersects(other) for other in swept)
+        swept = [body(kind, way, at) for way in ways for at in np.arange(0.0, way.length - kind.length_m, 0.11)]
+        assert not any(body(kind, own, clear[e]).intersects(other) for other in swept)
+        needed += any(body(kind, own, kind.width_m / 2 + 0.05).intersects(other) for other in swept)
     assert needed > 0

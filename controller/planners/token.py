@@ -115,15 +115,14 @@ class Token:
         for _ in range(self.options.passes):
             failed = {}
             for agent in waiting:
-                closed = self._closed_for(agent, carried | paths, problem)
                 cut = self._cuts.get(agent.agv)
-                if cut is not None and cut.holds(agent, closed):
+                if cut is not None and cut.holds(agent, self._closed_for(agent, carried | paths, problem)):
                     failed[agent.agv] = cut.blocker
                     continue
                 found = self._replace(agent, carried.get(agent.agv), problem)
                 if found is None:
                     failed[agent.agv] = self._search.blocker
-                    self._cuts[agent.agv] = self._cut(agent, closed)
+                    self._cuts[agent.agv] = self._cut(agent, self._closed_for(agent, carried | paths, problem))
                 else:
                     paths[agent.agv] = found
             waiting = [agent for agent in waiting if agent.agv in failed]

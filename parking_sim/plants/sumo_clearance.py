@@ -45,7 +45,8 @@ def rear_clearances(
         own = _line(np.vstack((here, garage.shapes[e])), here)
         entering = tuple(_line(garage.shapes[f], here) for f in into[tail] if graph.tail[f] != head)
         leaving = tuple(_line(garage.shapes[g], here) for g in out if g != e)
-        clear.append(_clear_m(own, entering, leaving, _alone(garage.shapes[e], before_m[e], lane_m[e], agv_type)))
+        least = _alone(garage.shapes[e], before_m[e], lane_m[e], agv_type)
+        clear.append(_clear_m(own, entering, leaving, least, (agv_type.length_m, agv_type.width_m)))
     return clear
 
 
@@ -55,10 +56,12 @@ def _line(shape: FloatArray, here: FloatArray) -> bytes:
 
 
 @lru_cache(maxsize=1 << 12)
-def _clear_m(own: bytes, entering: tuple[bytes, ...], leaving: tuple[bytes, ...], least_m: float) -> float:
+def _clear_m(
+    own: bytes, entering: tuple[bytes, ...], leaving: tuple[bytes, ...], least_m: float, size_m: tuple[float, float]
+) -> float:
     """Garages repeat a few shapes, and sweeps a few garages."""
     lines = [[np.frombuffer(line).reshape(-1, 2) for line in group] for group in ((own,), entering, leaving)]
-    return clear_of_ways(ways_past(lines[1], lines[2]), lines[0][0], least_m)
+    return clear_of_ways(ways_past(lines[1], lines[2]), lines[0][0], least_m, size_m)
 
 
 def _alone(shape: FloatArray, before_m: float, lane_m: float, agv_type: AgvType) -> float:
