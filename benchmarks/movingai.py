@@ -27,7 +27,7 @@ from sumo_nets.graph import Graph
 from sumo_nets.movingai import read_map, read_scenario
 
 #: Options of the planners: slots are no dead ends here, and there is time to improve.
-OPTIONS: dict[str, dict[str, object]] = {"token": {"through_slots": True, "improvements": 100, "passes": 10}}
+OPTIONS: dict[str, dict[str, object]] = {"token": {"through_slots_agvs": 10**6, "improvements": 100, "passes": 10}}
 
 
 def problem_of(graph: Graph, trips: Sequence[tuple[int, int]]) -> PlanningProblem:

@@ -84,6 +84,25 @@ def test_bounds_are_never_above_the_distance(data):
                 assert at_least(e, bounds) <= nx.dijkstra_path_length(arcs, e, "goal")
 
 
+@settings(max_examples=100, deadline=None)
+@given(st.data())
+def test_a_whole_field_is_exact_on_the_open_floor_and_a_bound_once_cars_are_parked(data):
+    graph = data.draw(garages(10))
+    homes = some(data, graph, 2)
+    graph = replace(graph, roles={**graph.roles, "home": tuple(homes), "bay": (), "charger": ()})
+    motion = data.draw(st.sampled_from([classic(graph), bodies(graph)]))
+    distances = Distances(Space(graph, motion), whole=True)
+    home, loaded = data.draw(st.sampled_from(homes)), data.draw(st.booleans())
+    start = data.draw(st.integers(0, len(graph.names) - 1))
+    nothing = mask(graph, [])
+    assert distances.distance(start, -1, home, loaded) == steps_between(graph, motion, start, -1, home, loaded, nothing)
+    work = int(distances.counters[0])
+    parked = mask(graph, [v for v in some(data, graph, 3) if v != start])
+    distances.update(parked)
+    assert distances.distance(start, -1, home, loaded) <= steps_between(graph, motion, start, -1, home, loaded, parked)
+    assert distances.counters[0] == work
+
+
 def test_on_a_corridor_a_bound_is_the_distance():
     graph = grid_graph("corridor", ["." * 9])
     graph = replace(graph, roles={**graph.roles, "home": (0,), "bay": (), "charger": ()})
@@ -121,7 +140,7 @@ def test_a_cut_is_there_if_and_only_if_there_is_no_way_and_holds_until_it_opens(
 def test_who_is_cut_off_is_searched_for_again_only_when_somebody_rests_elsewhere():
     graph = grid_graph("corridor", ["." * 9])
     motion = make_motion(graph, 1.0, lambda _metres, _loaded: 1, lambda _degrees, _loaded: 0, True)
-    planner = load_planner("token", graph, motion, {"improvements": 0, "through_slots": True})
+    planner = load_planner("token", graph, motion, {"improvements": 0})
     free = np.zeros(9, dtype=np.uint8)
     agent = PlanAgent(0, 0, -1, 0, 8, False)
 

@@ -10,8 +10,9 @@ Guarantee: in a well-formed garage (slots, bays, homes and chargers are end poin
 is a way that passes no other) no deadlock can arise, since every accepted set of paths can be carried out to its end.
 Limits: not optimal; an agent's path never makes another one give way.
 
-Departures from the paper: AGVs have priorities and are planned in that order. Unless ``through_slots`` is set no path
-leads through a slot, even where it is empty, which keeps distances the same while a garage fills.
+Departures from the paper: AGVs have priorities and are planned in that order. Only in small fleets paths lead through
+slots that are empty. That saves a few turns, but distances change with every car that is parked, so that searches grow
+with the garage, and cars parked in the way soon leave little of it.
 """
 
 from __future__ import annotations
@@ -39,14 +40,15 @@ class TokenOptions:
         passes: how often agents without a path are tried in one call.
         improvements: neighbourhoods of late agents planned again in one call, at most; see ``lns``.
         late_moves: who waits on its way for longer than so many moves take is late.
-        through_slots: paths may lead through slots that nobody rests in, has parked in or heads for.
+        through_slots_agvs: in fleets of up to so many AGVs paths may lead through slots that nobody rests in, has
+            parked in or heads for.
     """
 
     passes: int = 2
     improvements: int = 3
     late_moves: int = 4
     slack_moves: int = 2
-    through_slots: bool = False
+    through_slots_agvs: int = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +89,11 @@ class Token:
         move = int(np.median(space.lanes.edge_steps))
         self._threshold = options.late_moves * move
         self._slots = np.zeros(len(space.graph.names), dtype=np.uint8)
-        if not options.through_slots:
-            self._slots[list(space.graph.slots)] = 1
-        self.distances = Distances(space, ends=self._slots)
+        self._slots[list(space.graph.slots)] = 1
         self.table = ReservationTable(len(space.graph.names), space.motion.following)
-        self._search = PathSearch(self.distances, options.slack_moves * move)
+        self._around_slots = PathSearch(Distances(space, ends=self._slots), options.slack_moves * move)
+        self._through_slots = PathSearch(Distances(space, whole=True), options.slack_moves * move)
+        self._search = self._around_slots
         self._looked: dict[int, int] = {}
         self._cuts: dict[int, _Cut] = {}
 
@@ -101,8 +103,12 @@ class Token:
         Returns:
             SOLVED with a path for each agent; PARTIAL when some of them keep what they have, with who is in their way.
         """
-        self.distances.counters[:] = 0
-        problem = replace(problem, blocked=problem.blocked | self._slots)
+        if _fleet(problem) <= self.options.through_slots_agvs:
+            self._search = self._through_slots
+        else:
+            self._search = self._around_slots
+            problem = replace(problem, blocked=problem.blocked | self._slots)
+        self._search.distances.counters[:] = 0
         self._search.begin(problem)
         self.table.clear()
         carried: dict[int, Path] = {}
@@ -130,7 +136,7 @@ class Token:
                 break
         if self.improves:
             self._improve(problem, carried, paths)
-        counters = Counters(*self.distances.counters.tolist())
+        counters = Counters(*self._search.distances.counters.tolist())
         return PlanResult(Status.PARTIAL if failed else Status.SOLVED, paths, failed, counters)
 
     def _closed_for(self, agent: PlanAgent, paths: dict[int, Path], problem: PlanningProblem) -> NDArray[np.uint8]:
@@ -141,7 +147,7 @@ class Token:
         return closed
 
     def _cut(self, agent: PlanAgent, closed: NDArray[np.uint8]) -> _Cut:
-        space, counters = self.distances.space, self.distances.counters
+        space, counters = self._search.distances.space, self._search.distances.counters
         around = closed_around(agent.vertex, agent.goal, closed, space.lanes, counters)
         return _Cut(agent.vertex, agent.goal, self._search.blocker, around)
 
@@ -163,6 +169,12 @@ class Token:
         if keep is not None:
             self.table.add(keep)
         return path
+
+
+def _fleet(problem: PlanningProblem) -> int:
+    """Number of AGVs: each has a path to a place where it rests, or is to be planned."""
+    resting = {path.agv for path in problem.fixed if path.until >= FOREVER}
+    return len(resting | {agent.agv for agent in problem.agents})
 
 
 def make_token(graph: Graph, motion: Motion, options: TokenOptions | None = None) -> Token:

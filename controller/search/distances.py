@@ -56,6 +56,8 @@ class Distances:
         space: the garage.
         max_bytes: memory for fields.
         ends: shape (n,), 1 at vertices that are never driven through, whatever ``update`` says; None for none.
+        whole: the field of a landmark is whole from the start and lasts whatever ``update`` says: what it says is a
+            bound below the distance, exact while nothing but ``ends`` is closed. For searches without a window.
 
     Attributes:
         space: the garage.
@@ -63,9 +65,13 @@ class Distances:
         counters: search work so far, int64: expanded, heap moves, generated, valid.
     """
 
-    def __init__(self, space: Space, max_bytes: int = 1 << 29, ends: NDArray[np.uint8] | None = None) -> None:
+    def __init__(
+        self, space: Space, max_bytes: int = 1 << 29, ends: NDArray[np.uint8] | None = None, whole: bool = False
+    ) -> None:
         self.space = space
-        self._landmarks = Landmarks(space, np.zeros(len(space.lanes.xy), dtype=np.uint8) if ends is None else ends)
+        self._ends = np.zeros(len(space.lanes.xy), dtype=np.uint8) if ends is None else ends
+        self._landmarks = Landmarks(space, self._ends)
+        self._whole: dict[tuple[int, bool], Field] | None = {} if whole else None
         motion = space.motion
         self._speeds_differ = bool(
             (motion.edge_steps[0] != motion.edge_steps[1]).any() or (motion.turn_steps[0] != motion.turn_steps[1]).any()
@@ -87,6 +93,8 @@ class Distances:
     def field(self, goal: int, loaded: bool, asker: int) -> Field:
         """The field of a goal, new ones aimed at the vertex ``asker``."""
         loaded = loaded and self._speeds_differ
+        if self._whole is not None and goal in self._landmarks.vertices:
+            return self._whole_field(goal, loaded, self._whole)
         key = (goal, loaded, asker if self._goes_straight(asker, goal) else -1)
         field = self._fields.get(key)
         if field is None:
@@ -122,6 +130,20 @@ class Distances:
     def _goes_straight(self, asker: int, goal: int) -> bool:
         """A field of its own, by the asker's table, pays where few others will ask for this goal."""
         return asker in self._landmarks.vertices and goal not in self._landmarks.vertices
+
+    def _whole_field(self, goal: int, loaded: bool, known: dict[tuple[int, bool], Field]) -> Field:
+        field = known.get((goal, loaded))
+        if field is None:
+            lanes = self.space.lanes
+            field = Field(
+                np.zeros((len(lanes.tail), 4), dtype=np.int32),
+                np.array([0, goal, loaded, goal, 0], dtype=np.int32),
+                np.zeros(4),
+                np.zeros(0, dtype=np.int32),
+            )
+            _close_all(field, lanes, self._ends, self.counters)
+            known[goal, loaded] = field
+        return field
 
     def _new_field(self, goal: int, loaded: bool, asker: int) -> Field:
         s = self.space
@@ -222,6 +244,13 @@ def _close_next(field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters
         g = states[out, G] + lanes.edge_steps[loaded, out] + turn
         if states[e, G] == 0 or g < states[e, G]:
             _push(e, g, _estimate(e, field, lanes), states, meta, counters)
+
+
+@njit(cache=True)
+def _close_all(field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]) -> None:
+    _begin(field, lanes, counters)
+    while field.meta[SIZE] > 0:
+        _close_next(field, lanes, blocked, counters)
 
 
 @njit(cache=True)
