@@ -106,6 +106,7 @@ class Acs:
             self._commands += self.garage.call_forward(self.outages.closed)
         self._send_charging(changed)
         self._dispatch()
+        self._choose_bays()
         self.planning.step(step, self._blocked(), self._no_rest)
         self._commands += self.executor.grants(step)
         return self._commands
@@ -116,14 +117,12 @@ class Acs:
         """Let AGVs begin what they came for; who can't yet (a customer, a bay, a place is awaited) stays attended."""
         for n in sorted(self._attend):
             agv, a = self.agvs[n], self.executor.agvs[n]
-            if agv.action is None and a.standing and a.acting_until < 0:
-                if agv.mode is AgvMode.RETURNING_WITH_CAR and agv.job and agv.job.destination < 0:
-                    self._choose_bay(agv, agv.job)
-                if a.last == agv.goal and agv.mode is not AgvMode.IDLE:
-                    if a.pending:
-                        self.executor.cancel(n)
-                    if not self._begin(agv):
-                        continue
+            ready = agv.action is None and a.standing and a.acting_until < 0
+            if ready and a.last == agv.goal and agv.mode is not AgvMode.IDLE:
+                if a.pending:
+                    self.executor.cancel(n)
+                if not self._begin(agv):
+                    continue
             self._attend.discard(n)
 
     def _begin(self, agv: Agv) -> bool:
@@ -173,7 +172,17 @@ class Acs:
             self._set_goal(agv, job.destination)
         else:
             self._set_mode(agv, AgvMode.RETURNING_WITH_CAR)
-            self._choose_bay(agv, job)
+
+    def _choose_bays(self) -> None:
+        """Let AGVs that have lifted a car choose where to bring it.
+
+        After dispatch: who has just brought a car to a bay takes the one that waits there before others claim the bay.
+        """
+        for agv in self.agvs:
+            if agv.mode is AgvMode.RETURNING_WITH_CAR and agv.job and agv.job.destination < 0:
+                self._choose_bay(agv, agv.job)
+                if agv.job.destination >= 0:
+                    self.garage.vacate(agv.job.origin)
 
     def _choose_bay(self, agv: Agv, job: Job) -> None:
         """Claim the bay that can take the car soonest; while all are claimed, the AGV waits where it lifted."""

@@ -30,6 +30,7 @@ class Costs:
     """
 
     def __init__(self, graph: Graph, motion: Motion, blocked: NDArray[np.uint8], max_bytes: int = 1 << 28) -> None:
+        self.step_s = motion.step_s
         self._tables: OrderedDict[int, IntArray] = OrderedDict()
         self._keep = max(256, max_bytes // (4 * len(graph.names)))
         into = np.argsort(graph.head, kind="stable").astype(np.int32)

@@ -257,7 +257,7 @@ class Garage:
         self.slot_open[:] = [slot not in vertices for slot in self.graph.slots]
 
     def lifted(self, job: Job, now_s: float) -> None:
-        """The car is on the AGV."""
+        """The car is on the AGV. Its slot is for others only when ``vacate`` says so."""
         job.lifted_s = now_s
         if job.is_park:
             if self.handover == "bay":
@@ -265,8 +265,12 @@ class Garage:
         else:
             slot = self.parked.pop(job.car)
             self.slot_of[slot] = ""
-            self.slot_free[self._slot_number[slot]] = True
             self.blocked[slot] = 0
+
+    def vacate(self, slot: int) -> None:
+        """Whoever lifted the car in a slot has somewhere to bring it: the slot may be chosen for another one."""
+        if slot not in self.reserved and not self.slot_of[slot]:
+            self.slot_free[self._slot_number[slot]] = True
 
     def may_lower(self, job: Job) -> bool:
         """The place where the car is to be put down is free."""

@@ -162,7 +162,9 @@ class Scenario(_Options):
     planner_options: dict[str, bool | int | float | str] = Field(
         default_factory=dict, description="options passed to the planner by name"
     )
-    dispatch: str = Field(default="nearest", min_length=1, description="rule that assigns AGVs and slots to requests")
+    dispatch: str = Field(
+        default="nearest-job", min_length=1, description="rule that assigns AGVs and slots to requests"
+    )
     seed: int = Field(default=0, ge=0, lt=2**31, description="seed of every random stream of the run")
     workload: WorkloadConfig = Field(default_factory=ParkExit, description="what the customers want")
     duration_s: float | None = Field(

@@ -135,13 +135,19 @@ class Books(RuleBasedStateMachine):
         if not job.is_park:
             assert self.cars[job.car] == "parked"
             self.cars[job.car] = "leaving"
-            free = data.draw(st.sampled_from(GRAPH.bays)) if self.garage.handover == "bay" else GRAPH.homes[0]
-            job.destination = free
 
-    @precondition(lambda self: any(self.garage.may_lower(job) for job in self.carried))
+    @precondition(lambda self: any(job.destination < 0 for job in self.carried))
+    @rule(data=st.data())
+    def an_agv_learns_where_to_bring_its_car(self, data):
+        job = data.draw(st.sampled_from([job for job in self.carried if job.destination < 0]))
+        job.destination = data.draw(st.sampled_from(GRAPH.bays)) if self.garage.handover == "bay" else GRAPH.homes[0]
+        for _ in range(data.draw(st.integers(1, 2))):  # once more does no harm
+            self.garage.vacate(job.origin)
+
+    @precondition(lambda self: self._may_lower())
     @rule(data=st.data())
     def an_agv_lowers(self, data):
-        job = data.draw(st.sampled_from([job for job in self.carried if self.garage.may_lower(job)]))
+        job = data.draw(st.sampled_from(self._may_lower()))
         self.carried.remove(job)
         self.garage.lower_starts(job)
         commands = self.garage.lowered(job, self.now_s)
@@ -171,6 +177,9 @@ class Books(RuleBasedStateMachine):
         assert self.garage.car_left(job.destination, self.now_s) is job
         self._has_left(job)
 
+    def _may_lower(self):
+        return [job for job in self.carried if job.destination >= 0 and self.garage.may_lower(job)]
+
     def _has_left(self, job):
         del self.cars[job.car]
         self.asked.discard(job.car)
@@ -195,7 +204,8 @@ class Books(RuleBasedStateMachine):
             return
         parked = list(self.garage.parked.values())
         promised = [job.destination for job in (*self.assigned, *self.carried) if job.is_park]
-        taken = parked + promised
+        left_soon = [job.origin for job in self.carried if not job.is_park and job.destination < 0]
+        taken = parked + promised + left_soon
         assert len(set(taken)) == len(taken)
         free = set(self.garage.slots[self.garage.slot_free].tolist())
         assert free == set(GRAPH.slots) - set(taken)

@@ -89,6 +89,7 @@ class Case:
             "agvs": self.agvs,
             "plant": plant,
             "planner": PLANNERS[self.planner],
+            "dispatch": "nearest",
             "workload": workload,
             "seed": self.seed or 0,
             "record": {"sample_s": 2.0 if plant == "sumo" else 1.0},
