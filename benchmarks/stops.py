@@ -28,7 +28,7 @@ from typing import Any, TextIO
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-from lifelong import Lifelong, warehouse
+from lifelong import OPTIONS, Lifelong, warehouse
 
 from analysis.measures import interval
 from controller.types import AgvState
@@ -74,7 +74,7 @@ class Stopping(Lifelong):
 
 def in_warehouse(planner: str, agvs: int, share: float, seed: int, control: Row) -> Row:
     """Tasks done on the warehouse grid, and the share of time that stops took."""
-    run = Stopping(warehouse(), agvs, planner, seed, {}, watch_steps=1, **control)
+    run = Stopping(warehouse(), agvs, planner, seed, OPTIONS.get(planner, {}), watch_steps=1, **control)
     run.stop(share, seed)
     run.run(TICKS)
     return {"done": run.done, "stopped": run.stood / (agvs * TICKS)}

@@ -96,6 +96,8 @@ class Executor:
         self.closed: frozenset[int] = frozenset()
         self._due: set[int] = set()
         self._seen: list[AgvState | None] = [None] * len(starts)
+        self._unable_since: dict[int, int] = {}
+        self._stops: tuple[int, int] = (0, 0)  # how many have ended, and their steps in all
 
     def close(self, vertices: frozenset[int]) -> None:
         """Grant these vertices to nobody until this is called again; who stands there may leave."""
@@ -151,6 +153,7 @@ class Executor:
             if s.able != a.able:
                 a.able = s.able
                 self._due.add(s.agv)
+                self._count_stop(s.agv, step)
             standing = s.standing and a.reached == a.granted
             if standing != a.standing:
                 a.standing = standing
@@ -160,6 +163,13 @@ class Executor:
                 finished.append(s.agv)
                 self._due.add(s.agv)
         return changed, finished
+
+    def _count_stop(self, agv: int, step: int) -> None:
+        if not self.agvs[agv].able:
+            self._unable_since[agv] = step
+        elif agv in self._unable_since:
+            count, steps = self._stops
+            self._stops = count + 1, steps + step - self._unable_since.pop(agv)
 
     def cancel(self, agv: int) -> None:
         """Drop the vertices planned but not granted."""
@@ -275,5 +285,10 @@ class Executor:
         return [*left, 0 if a.standing else max(clock, 1)]
 
     def ready_step(self, agv: int, step: int) -> int:
-        """Estimated steps until an AGV can leave the end of its authority."""
-        return self.leave_steps(agv, step)[-1]
+        """Estimated steps until an AGV can leave the end of its authority.
+
+        One that takes no orders is expected to go on so for as long as that has taken on average so far.
+        """
+        count, steps = self._stops
+        more = 0 if self.agvs[agv].able or not count else round(steps / count)
+        return self.leave_steps(agv, step)[-1] + more

@@ -319,3 +319,14 @@ def test_planners_blind_to_turns_do_not_plan_a_fold(make):
     result = make(FORK, motion)(PlanningProblem(FORK, motion, (agent,), (), free, free, 20))
     assert Executor(FORK, motion, [agent.vertex]).accept(result.paths) is None
     assert result.paths[0].vertices != (FORK.index["r"], FORK.index["b"])
+
+
+def test_an_agv_that_takes_no_orders_is_expected_to_go_on_so_for_as_long_as_stops_took_so_far():
+    executor = Executor(LINE, classic(LINE), [LINE.index["a"], LINE.index["d"]])
+    expected = []
+    for step in range(20):
+        able = [not (2 <= step < 8 or step >= 15), not 3 <= step < 5]
+        executor.update([AgvState(n, 0, 0, True, able=able[n]) for n in range(2)], step)
+        expected.append([executor.ready_step(n, step) for n in range(2)])
+    assert [e for e, _ in expected] == [0] * 5 + [2] * 3 + [0] * 7 + [4] * 5  # nothing known, then 2, then (2 + 6) / 2
+    assert {e for _, e in expected} == {0}
