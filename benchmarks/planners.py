@@ -3,6 +3,7 @@
     python benchmarks/planners.py                      reduced: two garages, 15 minutes, 2 seeds
     python benchmarks/planners.py --full               every cell: 1 hour, 10 seeds; days of CPU, so give --workers
     python benchmarks/planners.py --garages map3 --planners token,whca --agvs 8,32 --minutes 60 --seeds 10
+    python benchmarks/planners.py --dispatch nearest   another rule than the default
 
 Mixed traffic: half the slots are taken at the start, cars arrive several times faster than any fleet could serve them
 and are asked for after a short stay, so that there is always a car to park and one to fetch. One row a run, then means
@@ -42,7 +43,8 @@ FLEETS = (1, 2, 4, 8, 16, 32, 64)
 #: Planners that only go where they are meant for: plans grow out of hand with more AGVs.
 MOST_AGVS = {"cbs": 4}
 
-Case = tuple[str, str, int, int, float]
+#: Garage, planner, AGVs, seed, minutes, dispatch rule.
+Case = tuple[str, str, int, int, float, str]
 
 MEASURES = (
     "tasks_done", "deadlocks_found", "deadlocks_resolved", "deadlocks_unresolved", "sumo_collisions",
@@ -62,9 +64,10 @@ def run(case: Case) -> dict[str, Any]:
     """One run, without a folder."""
     from parking_sim.simulation import simulate
 
-    garage, planner, agvs, seed, minutes = case
+    garage, planner, agvs, seed, minutes, dispatch = case
     given = {
         "agvs": agvs, "planner": planner, "seed": seed, "workload": traffic(minutes), "duration_s": 60 * minutes,
+        "dispatch": dispatch,
     }  # fmt: skip
     scenario = load_scenario(garage, {**given, "record": {"sample_s": 60.0, "plans": False}})
     with tempfile.TemporaryDirectory() as folder:
@@ -111,7 +114,7 @@ def cases(given: argparse.Namespace) -> list[Case]:
         fleets = sorted({min(n, homes) for n in given.agvs})
         for planner in given.planners:
             found += [
-                (garage, planner, n, seed, given.minutes)
+                (garage, planner, n, seed, given.minutes, given.dispatch)
                 for n in fleets
                 if n <= MOST_AGVS.get(planner, n)
                 for seed in range(1, given.seeds + 1)
@@ -175,6 +178,7 @@ def main() -> None:
     parser.add_argument("--garages", type=lambda text: text.split(","), default=["map1", "map3_thesis"])
     parser.add_argument("--planners", type=lambda text: text.split(","), default=["token", "pbs", "whca", "pibt"])
     parser.add_argument("--agvs", type=lambda text: [int(n) for n in text.split(",")], default=[1, 4, 8])
+    parser.add_argument("--dispatch", default=Scenario.model_fields["dispatch"].default)
     parser.add_argument("--minutes", type=float, default=15)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--workers", type=int, default=1)
