@@ -69,21 +69,22 @@ def nearest_job(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, 
     driving, so that nobody is passed over for ever.
     """
     oldest = nsmallest(OLDEST, jobs, key=lambda job: (job.requested_s, job.number))
-    agvs = sorted(at)
-    here = [at[agv] for agv in agvs]
+    agvs = np.array(sorted(at))
+    here = np.array([at[agv] for agv in sorted(at)])
     cost = np.empty((len(oldest), len(agvs)))
     for row, job in zip(cost, oldest, strict=True):
         row[:] = AGE_WEIGHT * (job.requested_s - oldest[0].requested_s) / costs.step_s
         if job.origin >= 0:  # else a car stands ready at every home
             row += costs.to(job.origin)[here]
             holder = taken.get(job.origin, -1)
-            row[[holder not in (-1, agv) for agv in agvs]] = np.inf
+            if holder >= 0:
+                row[agvs != holder] = np.inf
     offers: list[Offer] = []
     while len(offers) < min(cost.shape):
         j, a = divmod(int(cost.argmin()), len(agvs))
         if cost[j, a] == np.inf:
             break
-        offers.append(Offer(oldest[j], agvs[a], oldest[j].origin))
+        offers.append(Offer(oldest[j], int(agvs[a]), oldest[j].origin))
         cost[j, :] = cost[:, a] = np.inf
     return offers
 
