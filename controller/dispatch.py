@@ -31,13 +31,14 @@ class Offer:
 OLDEST = 200
 AGE_WEIGHT = 0.2
 
-#: A rule gets the open jobs in order of request, the vertices of the available AGVs, the origins that are taken by
-#: an AGV, and the costs. It returns offers; each AGV, each job and each origin at most once.
+#: A rule gets the open jobs in the order in which they were opened (cars to be fetched when they are asked for, cars to
+#: be parked when they stand at a bay), the vertices of the available AGVs, the origins that are taken by an AGV, and the
+#: costs. It returns offers; each AGV, each job and each origin at most once.
 Rule = Callable[[Sequence[Job], Mapping[int, int], Mapping[int, int], Costs], list[Offer]]
 
 
 def nearest_agv(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, int], costs: Costs) -> list[Offer]:
-    """Jobs in order of request; each gets the available AGV that is nearest to the car."""
+    """Jobs in the order in which they were opened; each gets the available AGV that is nearest to the car."""
     free = dict(at)
     busy = dict(taken)
     offers = []
