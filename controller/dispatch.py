@@ -32,8 +32,8 @@ OLDEST = 200
 AGE_WEIGHT = 0.2
 
 #: A rule gets the open jobs in the order in which they were opened (cars to be fetched when they are asked for, cars to
-#: be parked when they stand at a bay), the vertices of the available AGVs, the origins that are taken by an AGV, and the
-#: costs. It returns offers; each AGV, each job and each origin at most once.
+#: be parked when they stand at a bay), the vertices of the available AGVs, the origins that are taken by an AGV, and
+#: the costs. It returns offers; each AGV, each job and each origin at most once.
 Rule = Callable[[Sequence[Job], Mapping[int, int], Mapping[int, int], Costs], list[Offer]]
 
 
