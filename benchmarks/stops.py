@@ -169,7 +169,7 @@ def print_stops(rows: Sequence[Row], part: str) -> None:
 
 def _kept(hard: Sequence[Row], calm: Row) -> str:
     kept = interval([r["done"] / calm[r["seed"]] for r in hard])
-    return f"{kept.mean:.0%} ({kept.low:.0%} to {kept.high:.0%})"
+    return f"{kept.mean:.0%}" + (f" ({kept.low:.0%} to {kept.high:.0%})" if kept.runs > 1 else "")
 
 
 def print_noise(rows: Sequence[Row]) -> None:
