@@ -8,9 +8,9 @@
 - *noise*: SUMO, map2, 20 minutes; log-normal noise on the time of each move, replanning periodically, at events or
   both, with orders kept and with orders switched.
 
-Stops take about 14 % of the AGVs' time, nobody is told of them. Runs are paired: the same seed, so the same tasks and
-stops, or moves. As an AGV that stops does nothing, ``ceiling`` is what is left of its time: a fleet that is never idle
-can't keep more, one that waits for bays or customers can.
+Stops take about 14 % of the AGVs' time, and nobody is told how long they last. Runs are paired: the same seed, so the
+same tasks and stops, or moves. As an AGV that stops does nothing, ``ceiling`` is what is left of its time: a fleet that
+is never idle can't keep more, one that waits for bays or customers can.
 """
 
 from __future__ import annotations

@@ -181,7 +181,7 @@ class Acs:
         for agv in self.agvs:
             if agv.mode is AgvMode.RETURNING_WITH_CAR and agv.job and agv.job.destination < 0:
                 self._choose_bay(agv, agv.job)
-                if agv.job.destination >= 0:
+                if agv.job.destination >= 0 and self.executor.agvs[agv.number].last == agv.job.origin:
                     self.garage.vacate(agv.job.origin)
 
     def _choose_bay(self, agv: Agv, job: Job) -> None:
@@ -348,8 +348,7 @@ class Acs:
         elif agv.mode is AgvMode.RETURNING_WITH_CAR and job and agv.goal in self.garage.bays:
             self._release(agv)
             job.destination = -1
-            self._set_goal(agv, self.executor.agvs[agv.number].last)
-            self._choose_bay(agv, job)
+            self._set_goal(agv, self.executor.agvs[agv.number].last)  # until ``_choose_bays`` finds another one
             self._attend.add(agv.number)
         else:
             self._give_back(agv)
