@@ -142,14 +142,17 @@ class Lifelong:
         self.executor.update(self.states(step), step)
         for agv in self.agvs:
             if self.executor.agvs[agv.number].last == agv.goal:
-                self.done += 1
-                self.quiet, self._last = max(self.quiet, step - self._last), step
-                self._new_goal(agv)
+                self._arrived(agv, step)
         self.planning.step(step, self.blocked, lambda: self.rest)
         self.planning.take_calls()
         for command in self.executor.grants(step):
             if isinstance(command, Advance):
                 self.count[command.agv] += 1
+
+    def _arrived(self, agv: Agv, step: int) -> None:
+        self.done += 1
+        self.quiet, self._last = max(self.quiet, step - self._last), step
+        self._new_goal(agv)
 
     def _new_goal(self, agv: Agv) -> None:
         taken = {v for other in self.agvs for v in (other.goal, self.executor.agvs[other.number].last)}

@@ -7,10 +7,13 @@
 
 Mixed traffic: half the slots are taken at the start, cars arrive several times faster than any fleet could serve them
 and are asked for after a short stay, so that there is always a car to park and one to fetch. One row a run, then means
-over the seeds as a table; CSV and figure with ``--csv`` and ``--figure``. ``--workers`` is the number of processes.
+over the seeds as a table and, with ``--figure``, a figure. With ``--csv`` rows are added to a file as they come, and
+what is in there is not run again, so that a long table can be made in pieces. ``--workers`` is the number of processes.
 
-``bound_share`` is the least work that the tasks done can take (``analysis.bound.least_work``, by the durations that
-plans are made with, which the plant undercuts by up to 5 %), over the time of all AGVs until each did its last task.
+Shares are of what was assigned after the first sixth of the time: the first jobs of a garage that just opens are few
+and far apart. ``bound_share`` is the least work that these tasks can take (``analysis.bound.least_work``, by the
+durations that plans are made with, which the plant undercuts by up to 5 %), from where the AGVs were, over the time of
+all AGVs until each did its last one.
 ``alone_share`` is the same for each AGV's own tasks in the order in which it did them, as if it were alone and no
 customer had to be waited for: what is lost there is lost to others, what lies between the two to dispatch.
 ``cars_at_bay`` is the mean number of cars at a bay: those to be parked, and those given back until they drive off.
@@ -40,10 +43,13 @@ PLANNERS = (
     "token", "pbs", "whca", "pibt", "lacam", "online_mapf", "astar", "dstar_lite", "binary_tree", "ga_two_stage", "cbs",
 )  # fmt: skip
 FLEETS = (1, 2, 4, 8, 16, 32, 64)
+#: Part of the run after which shares are counted.
+WARM_UP = 1 / 6
 #: Planners that only go where they are meant for: plans grow out of hand with more AGVs.
 MOST_AGVS = {"cbs": 4}
 
-#: Garage, planner, AGVs, seed, minutes, dispatch rule.
+#: What tells runs apart; the first columns of the table.
+KEYS = ("garage", "planner", "agvs", "seed", "minutes", "dispatch")
 Case = tuple[str, str, int, int, float, str]
 
 MEASURES = (
@@ -73,7 +79,7 @@ def run(case: Case) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         summary = simulate(scenario, Path(folder) / "run")
         tasks = load_run(Path(folder) / "run").tasks
-    row: dict[str, Any] = {"garage": garage, "planner": planner, "agvs": agvs, "seed": seed, "status": summary.status}
+    row: dict[str, Any] = dict(zip(KEYS, case, strict=True)) | {"status": summary.status}
     row |= {key: summary.metrics.get(key) for key in MEASURES}
     row["tasks_per_h"] = summary.metrics["tasks_done"] * 60 / minutes
     for p in ("p50", "p99"):
@@ -82,17 +88,25 @@ def run(case: Case) -> dict[str, Any]:
 
 
 def shares(scenario: Scenario, tasks: pd.DataFrame, minutes: float) -> dict[str, float]:
-    """How near the AGVs came to their bound, and the bays to theirs."""
+    """How near the AGVs came to their bound after the warm-up, and how full the bays were."""
     world = assemble(scenario)
     graph, bays = world.net.graph, {world.net.graph.names[v] for v in world.net.graph.bays}
-    done = tasks[tasks["delivered_s"].notna()]
-    places = [(graph.index[a], graph.index[b]) for a, b in zip(done["origin"], done["destination"], strict=True)]
-    step_s, time_s = world.motion.step_s, float(done.groupby("agv")["delivered_s"].max().sum())
-    work_s = least_work(graph, world.motion, world.rules, world.homes, places) * step_s
-    alone_s = 0.0
-    for agv, own in done.sort_values("assigned_s").groupby("agv"):
-        places = [(graph.index[a], graph.index[b]) for a, b in zip(own["origin"], own["destination"], strict=True)]
-        alone_s += work_alone(graph, world.motion, world.rules, world.homes[int(str(agv))], places) * step_s
+    step_s, warm_s = world.motion.step_s, 60 * minutes * WARM_UP
+    starts: list[int] = []
+    places: list[tuple[int, int]] = []
+    time_s = alone_s = 0.0
+    for agv, all_of_it in tasks[tasks["delivered_s"].notna()].sort_values("assigned_s").groupby("agv"):
+        before, own = (
+            all_of_it[chosen] for chosen in (all_of_it["assigned_s"] < warm_s, all_of_it["assigned_s"] >= warm_s)
+        )
+        if own.empty:
+            continue
+        starts.append(world.homes[int(str(agv))] if before.empty else graph.index[before["destination"].iloc[-1]])
+        its = [(graph.index[a], graph.index[b]) for a, b in zip(own["origin"], own["destination"], strict=True)]
+        places += its
+        time_s += float(own["delivered_s"].max() - own["assigned_s"].min())
+        alone_s += work_alone(graph, world.motion, world.rules, starts[-1], its) * step_s
+    work_s = least_work(graph, world.motion, world.rules, starts, places) * step_s
     standing = pd.concat(
         [
             tasks["lifted_s"].fillna(60 * minutes)[tasks["origin"].isin(bays)] - tasks["at_bay_s"],
@@ -100,8 +114,8 @@ def shares(scenario: Scenario, tasks: pd.DataFrame, minutes: float) -> dict[str,
         ]
     )
     return {
-        "bound_share": work_s / time_s if len(done) else math.nan,
-        "alone_share": alone_s / time_s if len(done) else math.nan,
+        "bound_share": work_s / time_s if places else math.nan,
+        "alone_share": alone_s / time_s if places else math.nan,
         "cars_at_bay": float(standing.sum()) / (len(bays) * 60 * minutes),
     }
 
@@ -188,16 +202,18 @@ def main() -> None:
     if given.full:
         given.garages, given.planners, given.agvs = GARAGES, PLANNERS, FLEETS
         given.minutes, given.seeds = 60, 10
-    done = []
-    for row in rows(cases(given), given.workers):
+    done = pd.read_csv(given.csv).to_dict("records") if given.csv and given.csv.exists() else []
+    have = {tuple(row[key] for key in KEYS) for row in done}
+    wanted = cases(given)
+    for row in rows([case for case in wanted if case not in have], given.workers):
         done.append(row)
         print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
-    table = means(done)
+        if given.csv:
+            pd.DataFrame(done).sort_values(list(KEYS)).to_csv(given.csv, index=False)
+    table = means([row for row in done if tuple(row[key] for key in KEYS) in set(wanted)])
     print("\n" + " | ".join(table[0]))
     for line in table:
         print(" | ".join(str(value) for value in line.values()))
-    if given.csv:
-        pd.DataFrame(done).sort_values(["garage", "planner", "agvs", "seed"]).to_csv(given.csv, index=False)
     if given.figure:
         draw(table, given.figure)
 

@@ -1,7 +1,7 @@
 """What stops and delays cost: throughput kept under random stops, and under noise for each way to replan.
 
-    python benchmarks/stops.py [--part warehouse,map3,noise] [--planner token,whca] [--seeds 3]
-                               [--csv FILE] [--figure FILE]
+    python benchmarks/stops.py [--part warehouse,map3,noise] [--planner token,whca] [--seeds 3] [--loads 0.7,0.8,0.9]
+                               [--agvs 8,16,32,64] [--csv FILE] [--figure FILE]
 
 - *warehouse*: lifelong tasks on a warehouse grid, a cell a tick (see ``lifelong.py``); AGVs stop for 2 to 8 ticks.
 - *map3*: SUMO, an hour, all cars wanted in at once; AGVs stop for as long as 2 to 8 moves take.
@@ -10,7 +10,9 @@
 
 Stops take about 14 % of the AGVs' time, and nobody is told how long they last. Runs are paired: the same seed, so the
 same tasks and stops, or moves. As an AGV that stops does nothing, ``ceiling`` is what is left of its time: a fleet that
-is never idle can't keep more, one that waits for bays or customers can.
+is never idle can't keep more, one that waits for bays or customers can. Therefore the first two are also run at each of
+the loads: then tasks come one by one (in map3 as a Poisson process), so many as are that part of what the fleet does
+without stops when there is always more to do.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import math
 import random
 import sys
 import tempfile
@@ -31,9 +34,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 from lifelong import OPTIONS, Lifelong, warehouse
 
 from analysis.measures import interval
+from controller.fleet import Agv
 from controller.types import AgvState
 
 FLEETS = (8, 16, 32, 64)
+LOADS = (0.7, 0.8, 0.9)
 SHARE, MOVES = 0.14, (2, 8)
 TICKS = 600
 SECONDS = {"map2": 1200.0, "map3": 3600.0}
@@ -51,9 +56,11 @@ class Stopping(Lifelong):
 
     Attributes:
         stood: ticks that AGVs stood because of a stop.
+        rate: tasks that come in a tick; each AGV's first one is there from the start.
     """
 
     stood = 0
+    rate = math.inf
 
     def stop(self, share: float, seed: int) -> None:
         """Let each AGV stop for 2 to 8 ticks, in all for a share of its time."""
@@ -61,6 +68,14 @@ class Stopping(Lifelong):
         self._stops = random.Random(seed)
         self._chance = share / (1 - share) / mean
         self._until = [0] * len(self.agvs)
+        self._idle: set[int] = set()
+
+    def _arrived(self, agv: Agv, step: int) -> None:
+        self.done += agv.number not in self._idle
+        self._idle.add(agv.number)
+        if len(self.trips) < self.rate * step:
+            self._idle.remove(agv.number)
+            self._new_goal(agv)
 
     def states(self, step: int) -> list[AgvState]:
         """AGVs that stop take no orders."""
@@ -72,23 +87,25 @@ class Stopping(Lifelong):
         return [AgvState(n, c, c, True, able=able[n]) for n, c in enumerate(self.count)]
 
 
-def in_warehouse(planner: str, agvs: int, share: float, seed: int, control: Row) -> Row:
-    """Tasks done on the warehouse grid, and the share of time that stops took."""
+def in_warehouse(planner: str, agvs: int, share: float, seed: int, tasks: float, control: Row) -> Row:
+    """Tasks done on the warehouse grid of so many that come, and the share of time that stops took."""
     run = Stopping(warehouse(), agvs, planner, seed, OPTIONS.get(planner, {}), watch_steps=1, **control)
     run.stop(share, seed)
+    run.rate = tasks / TICKS
     run.run(TICKS)
     return {"done": run.done, "stopped": run.stood / (agvs * TICKS)}
 
 
-def in_sumo(garage: str, agvs: int, planner: str, seed: int, faults: Row, control: Row) -> Row:
-    """Tasks done in a garage in SUMO, and the share of time that stops took."""
+def in_sumo(garage: str, agvs: int, planner: str, seed: int, tasks: float, faults: Row, control: Row) -> Row:
+    """Tasks done in a garage in SUMO of so many that come, and the share of time that stops took."""
     import duckdb
 
     from parking_sim.config import check_scenario
     from parking_sim.simulation import simulate
 
     data: Row = {"garage": garage, "agvs": agvs, "planner": planner, "seed": seed, "duration_s": SECONDS[garage]}
-    data |= {"workload": {"kind": "park_exit"}, "faults": faults, "control": control, "record": {"sample_s": 60.0}}
+    workload = {"kind": "park_exit"} if tasks == math.inf else _parking(tasks, SECONDS[garage])
+    data |= {"workload": workload, "faults": faults, "control": control, "record": {"sample_s": 60.0}}
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
         metrics = simulate(check_scenario(data, "stops", Path()), out).metrics
@@ -107,6 +124,16 @@ def in_sumo(garage: str, agvs: int, planner: str, seed: int, faults: Row, contro
     return {"done": metrics["tasks_done"], "stopped": stood / (agvs * SECONDS[garage])}
 
 
+def _parking(tasks: float, seconds: float) -> Row:
+    """So many cars that come in the run, and stay."""
+    return {
+        "kind": "poisson",
+        "arrivals_per_h": tasks * 3600 / seconds,
+        "dwell_median_min": 10000,
+        "duration_min": seconds / 60,
+    }
+
+
 def stops_in_sumo() -> Row:
     """Stops as long as 2 to 8 moves that take ``SHARE`` of an AGV's time."""
     least_s, most_s = (n * MOVE_S for n in MOVES)
@@ -114,20 +141,33 @@ def stops_in_sumo() -> Row:
     return {"stop": {"per_h": per_h, "least_s": least_s, "most_s": most_s}}
 
 
-def runs(parts: Sequence[str], planners: Sequence[str], seeds: int) -> Iterator[Row]:
+def runs(given: argparse.Namespace) -> Iterator[Row]:
     """A row for each run; pairs differ in ``stops`` or ``control`` alone."""
-    for part in parts:
-        for planner in planners:
-            for key in noise_cases() if part == "noise" else stop_cases():
-                for seed in range(1, seeds + 1):
-                    yield {"part": part, "planner": planner, "seed": seed, **key, **_run(part, planner, seed, key)}
+    for part in given.part.split(","):
+        for planner in given.planner.split(","):
+            most: dict[int, float] = {}
+            for key in noise_cases() if part == "noise" else stop_cases(given.agvs, given.loads):
+                tasks = math.inf if key["load"] == math.inf else key["load"] * most[key["agvs"]]
+                done = []
+                for seed in range(1, given.seeds + 1):
+                    row = {"part": part, "planner": planner, "seed": seed, **key}
+                    row |= _run(part, planner, seed, tasks, key)
+                    done.append(row["done"])
+                    yield row
+                if tasks == math.inf and not key["stops"]:
+                    most[key["agvs"]] = float(np.mean(done))
 
 
-def stop_cases() -> Iterator[Row]:
-    """Fleets without stops, with stops, and with stops answered by everything there is."""
-    for agvs in FLEETS:
-        for stops, replanning, reorder in ((False, *DEFAULT), (True, *DEFAULT), (True, *EVERYTHING)):
-            yield {"agvs": agvs, "stops": stops, "sigma": 0.0, "replanning": replanning, "reorder": reorder}
+def stop_cases(fleets: Sequence[int], loads: Sequence[float]) -> Iterator[Row]:
+    """Fleets without stops, with stops, and with stops answered by everything; this only where there is always more."""
+    for agvs in fleets:
+        for load in (math.inf, *loads):
+            for stops, replanning, reorder in ((False, *DEFAULT), (True, *DEFAULT), (True, *EVERYTHING)):
+                if load == math.inf or not reorder:
+                    yield {
+                        "agvs": agvs, "load": load, "stops": stops, "sigma": 0.0, "replanning": replanning,
+                        "reorder": reorder,
+                    }  # fmt: skip
 
 
 def noise_cases() -> Iterator[Row]:
@@ -135,36 +175,37 @@ def noise_cases() -> Iterator[Row]:
     for sigma in SIGMAS:
         for replanning in POLICIES:
             for reorder in (False, True):
-                yield {"agvs": 16, "stops": False, "sigma": sigma, "replanning": replanning, "reorder": reorder}
+                yield {
+                    "agvs": 16,
+                    "load": math.inf,
+                    "stops": False,
+                    "sigma": sigma,
+                    "replanning": replanning,
+                    "reorder": reorder,
+                }
 
 
-def _run(part: str, planner: str, seed: int, key: Row) -> Row:
+def _run(part: str, planner: str, seed: int, tasks: float, key: Row) -> Row:
     control = {"replanning": key["replanning"], "reorder": key["reorder"]}
     if part == "warehouse":
-        return in_warehouse(planner, key["agvs"], SHARE * key["stops"], seed, control)
+        return in_warehouse(planner, key["agvs"], SHARE * key["stops"], seed, tasks, control)
     faults: Row = stops_in_sumo() if key["stops"] else {"travel_noise": key["sigma"]}
-    return in_sumo("map3" if part == "map3" else "map2", key["agvs"], planner, seed, faults, control)
+    return in_sumo("map3" if part == "map3" else "map2", key["agvs"], planner, seed, tasks, faults, control)
 
 
 def print_stops(rows: Sequence[Row], part: str) -> None:
-    """Throughput kept under stops by fleet and planner; intervals over the pairs."""
-    print(
-        f"\n{part}\n\n| planner | AGVs | stopped | tasks without | with stops | kept | ceiling | both, switched: kept |"
-    )
-    print("|---" * 8 + "|")
-    for planner in dict.fromkeys(row["planner"] for row in rows):
-        for agvs in FLEETS:
-            same = [r for r in rows if (r["part"], r["planner"], r["agvs"]) == (part, planner, agvs)]
-            calm = {r["seed"]: r["done"] for r in same if not r["stops"]}
-            hard = [r for r in same if r["stops"]]
-            if not hard:
-                continue
-            by_answer = {answer: [r for r in hard if r["reorder"] is answer] for answer in (False, True)}
-            kept = {answer: _kept(rows_, calm) for answer, rows_ in by_answer.items()}
-            without, with_ = np.mean(list(calm.values())), np.mean([r["done"] for r in by_answer[False]])
-            stood = float(np.mean([r["stopped"] for r in by_answer[False]]))
-            first = f"{planner} | {agvs} | {stood:.1%} | {without:.0f} | {with_:.0f}"
-            print(f"| {first} | {kept[False]} | {1 - stood:.0%} | {kept[True]} |")
+    """Throughput kept under stops by fleet, load and planner; intervals over the pairs."""
+    words = "planner", "AGVs", "load", "stopped", "tasks without", "with stops", "kept", "ceiling", "switched: kept"
+    print(f"\n{part}\n\n| {' | '.join(words)} |\n" + "|---" * len(words) + "|")
+    ours = [r for r in rows if r["part"] == part]
+    for planner, agvs, load in dict.fromkeys((r["planner"], r["agvs"], r["load"]) for r in ours):
+        same = [r for r in ours if (r["planner"], r["agvs"], r["load"]) == (planner, agvs, load)]
+        calm = {r["seed"]: r["done"] for r in same if not r["stops"]}
+        hard, switched = ([r for r in same if r["stops"] and r["reorder"] is answer] for answer in (False, True))
+        stood = float(np.mean([r["stopped"] for r in hard]))
+        cells = f"{planner} | {agvs} | {load:.0%}" if load < math.inf else f"{planner} | {agvs} | always more"
+        cells += f" | {stood:.1%} | {np.mean(list(calm.values())):.0f} | {np.mean([r['done'] for r in hard]):.0f}"
+        print(f"| {cells} | {_kept(hard, calm)} | {1 - stood:.0%} | {_kept(switched, calm) if switched else ''} |")
 
 
 def _kept(hard: Sequence[Row], calm: Row) -> str:
@@ -246,13 +287,15 @@ def main() -> None:
     parser.add_argument("--part", default="warehouse,map3,noise")
     parser.add_argument("--planner", default="token,whca")
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--agvs", type=lambda text: [int(n) for n in text.split(",")], default=FLEETS)
+    parser.add_argument("--loads", type=lambda text: [float(x) for x in text.split(",")], default=LOADS)
     parser.add_argument("--csv", type=Path)
     parser.add_argument("--figure", type=Path)
     given = parser.parse_args()
     parts = given.part.split(",")
     rows: list[Row] = []
     file = given.csv.open("w", newline="", encoding="utf-8") if given.csv else None
-    for row in runs(parts, given.planner.split(","), given.seeds):
+    for row in runs(given):
         _write(row, file, not rows)
         rows.append(row)
     for part in (part for part in parts if part != "noise"):

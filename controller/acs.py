@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from controller.costs import Costs
-from controller.dispatch import Rule, choose_slot
+from controller.dispatch import Rule
 from controller.executor import Executor
 from controller.faults import CLOSING, FaultReport, Outages
 from controller.fleet import FREE_MODES, Agv
 from controller.garage import Garage, Job
+from controller.places import choose_bays, choose_slot
 from controller.planning import ControlOptions, Mask, Planning
 from controller.rules import Rules
 from controller.types import Action, AgvMode, AgvState, Command, Motion, Planner
@@ -174,33 +175,46 @@ class Acs:
             self._set_mode(agv, AgvMode.RETURNING_WITH_CAR)
 
     def _choose_bays(self) -> None:
-        """Let AGVs that have lifted a car choose where to bring it.
+        """Let AGVs that have lifted a car know where to bring it, and come nearer to the bays while all are claimed.
 
         After dispatch: who has just brought a car to a bay takes the one that waits there before others claim the bay.
         """
-        for agv in self.agvs:
-            if agv.mode is AgvMode.RETURNING_WITH_CAR and agv.job and agv.job.destination < 0:
-                self._choose_bay(agv, agv.job)
-                if agv.job.destination >= 0 and self.executor.agvs[agv.number].last == agv.job.origin:
-                    self.garage.vacate(agv.job.origin)
-
-    def _choose_bay(self, agv: Agv, job: Job) -> None:
-        """Claim the bay that can take the car soonest; while all are claimed, the AGV waits where it lifted."""
+        waiting = {
+            agv.number: agv.job
+            for agv in self.agvs
+            if agv.mode is AgvMode.RETURNING_WITH_CAR and agv.job and agv.job.destination < 0
+        }
+        if not waiting:
+            return
+        at = {n: self.executor.agvs[n].last for n in waiting}
         if self.garage.handover == "home":
-            job.destination = agv.home
-            self._set_goal(agv, agv.home)
-            return
-        free = [b for b in self.graph.bays if b not in self._claims and b not in self.outages.closed]
-        if not free:
-            return
-        here = self.executor.agvs[agv.number].last
+            chosen = {n: self.agvs[n].home for n in waiting}
+        else:
+            chosen = self._claim_bays(at, {n: job.lifted_s for n, job in waiting.items()})
+        for n, job in waiting.items():
+            agv = self.agvs[n]
+            if n in chosen:
+                job.destination = chosen[n]
+                self._set_goal(agv, chosen[n])
+            elif at[n] != job.origin or self._steps_to_bays(agv.home) < self._steps_to_bays(at[n]):
+                self._set_goal(agv, agv.home)
+            if agv.goal != job.origin and at[n] == job.origin:
+                self.garage.vacate(job.origin)
+
+    def _claim_bays(self, at: dict[int, int], since_s: dict[int, float]) -> dict[int, int]:
         # an occupied outbound place frees when its customer has got in: count it as half a lift
         wait = self.rules.lift_bay // 2
-        job.destination = min(
-            free, key=lambda b: int(self.costs.to(b)[here]) + (wait if self.garage.bays[b].outbound else 0)
-        )
-        self._claims[job.destination] = agv.number
-        self._set_goal(agv, job.destination)
+        free = {
+            bay: wait if self.garage.bays[bay].outbound else 0
+            for bay in self.graph.bays
+            if bay not in self._claims and bay not in self.outages.closed
+        }
+        chosen = choose_bays(at, since_s, free, self.costs) if free else {}
+        self._claims.update({bay: n for n, bay in chosen.items()})
+        return chosen
+
+    def _steps_to_bays(self, vertex: int) -> int:
+        return min(int(self.costs.to(bay)[vertex]) for bay in self.graph.bays)
 
     def _lowered(self, agv: Agv, job: Job) -> None:
         self._commands += self.garage.lowered(job, self._now_s)

@@ -1,7 +1,7 @@
 """Driving costs between places, for choosing AGVs, slots and bays. Other AGVs and turns are left out of the account.
 
-``to`` counts every slot as passable and is made once for each goal; ``around`` takes parked cars as walls, as they
-stand now.
+``to`` and ``out_of`` count every slot as passable and are made once for each place; ``around`` takes parked cars as
+walls, as they stand now.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sumo_nets.graph import Graph, IntArray
 
 
 class Costs:
-    """Steps an empty AGV drives from every vertex to a goal, one table per goal, made when first asked for.
+    """Steps an empty AGV drives to a place from every vertex, or from it to every one; tables made when asked for.
 
     Args:
         graph, motion: the garage and how long moves take.
@@ -31,7 +31,7 @@ class Costs:
 
     def __init__(self, graph: Graph, motion: Motion, blocked: NDArray[np.uint8], max_bytes: int = 1 << 28) -> None:
         self.step_s = motion.step_s
-        self._tables: OrderedDict[int, IntArray] = OrderedDict()
+        self._tables: OrderedDict[tuple[int, bool], IntArray] = OrderedDict()
         self._keep = max(256, max_bytes // (4 * len(graph.names)))
         into = np.argsort(graph.head, kind="stable").astype(np.int32)
         first = np.searchsorted(graph.head[into], np.arange(len(graph.names) + 1)).astype(np.int32)
@@ -43,15 +43,22 @@ class Costs:
 
     def to(self, goal: int) -> IntArray:
         """Steps from each vertex to the goal, shape (n,); ``FOREVER`` where it cannot be reached."""
-        table = self._tables.get(goal)
+        return self._table(goal, True)
+
+    def out_of(self, start: int) -> IntArray:
+        """Steps from a vertex to each other one, shape (n,); one-way lanes make that another way than ``to`` it."""
+        return self._table(start, False)
+
+    def _table(self, vertex: int, inwards: bool) -> IntArray:
+        table = self._tables.get((vertex, inwards))
         if table is None:
-            table, expanded = _dijkstra(goal, self._open, *self._into)
+            table, expanded = _dijkstra(vertex, self._open, *(self._into if inwards else self._out_of))
             self.expanded += expanded
-            self._tables[goal] = table
+            self._tables[vertex, inwards] = table
             if len(self._tables) > self._keep:
                 self._tables.popitem(last=False)
         else:
-            self._tables.move_to_end(goal)
+            self._tables.move_to_end((vertex, inwards))
         return table
 
     def around(self, start: int, blocked: NDArray[np.uint8] | None = None) -> IntArray:

@@ -1,15 +1,16 @@
-"""Dispatch: which AGV takes which job, and which slot a car gets. Rules stand in the table ``DISPATCH``."""
+"""Dispatch: which AGV takes which job. Rules stand in the table ``DISPATCH``. Slots and bays: ``places``."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from heapq import nsmallest
 
 import numpy as np
 
 from controller.costs import Costs
-from controller.garage import Garage, Job
+from controller.garage import Job
+from sumo_nets.graph import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +29,7 @@ class Offer:
 
 
 #: How many jobs ``nearest_job`` looks at, and the seconds of driving that a second of waiting outweighs.
-OLDEST = 200
+OLDEST = 400
 AGE_WEIGHT = 0.2
 
 #: A rule gets the open jobs in the order in which they were opened (cars to be fetched when they are asked for, cars to
@@ -69,7 +70,7 @@ def nearest_job(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, 
     its way go first; both save empty ways. Each second that a request is older counts as ``AGE_WEIGHT`` seconds of
     driving, so that nobody is passed over for ever.
     """
-    oldest = nsmallest(OLDEST, jobs, key=lambda job: (job.requested_s, job.number))
+    oldest = oldest_first(jobs)
     agvs = np.array(sorted(at))
     here = np.array([at[agv] for agv in sorted(at)])
     cost = np.empty((len(oldest), len(agvs)))
@@ -80,14 +81,22 @@ def nearest_job(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, 
             holder = taken.get(job.origin, -1)
             if holder >= 0:
                 row[agvs != holder] = np.inf
-    offers: list[Offer] = []
-    while len(offers) < min(cost.shape):
-        j, a = divmod(int(cost.argmin()), len(agvs))
-        if cost[j, a] == np.inf:
-            break
-        offers.append(Offer(oldest[j], int(agvs[a]), oldest[j].origin))
-        cost[j, :] = cost[:, a] = np.inf
-    return offers
+    return [Offer(oldest[j], int(agvs[a]), oldest[j].origin) for j, a in pairs(cost)]
+
+
+def oldest_first(jobs: Sequence[Job]) -> list[Job]:
+    """The ``OLDEST`` jobs that were asked for first, in that order."""
+    return nsmallest(OLDEST, jobs, key=lambda job: (job.requested_s, job.number))
+
+
+def pairs(cost: FloatArray) -> Iterator[tuple[int, int]]:
+    """Rows and columns paired off, the cheapest pair first, each once; infinite is no pair. ``cost`` is used up."""
+    for _ in range(min(cost.shape)):
+        row, column = divmod(int(cost.argmin()), cost.shape[1])
+        if cost[row, column] == np.inf:
+            return
+        yield row, column
+        cost[row, :] = cost[:, column] = np.inf
 
 
 def in_id_order(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, int], costs: Costs) -> list[Offer]:
@@ -129,21 +138,3 @@ DISPATCH: dict[str, Rule] = {
     "id-order": in_id_order,
     "first-come": first_come,
 }
-
-
-def choose_slot(garage: Garage, origin: int, zone: str, costs: Costs, around_cars: bool = False) -> int:
-    """The free slot nearest to where the car stands, in the wanted zone if there is one; -1 when all are taken.
-
-    Args:
-        garage: the books.
-        origin: where the car stands.
-        zone: beginning of the wanted slots' names, "" for any.
-        costs: driving costs.
-        around_cars: count the way from there around parked cars, instead of the way back with all slots passable.
-    """
-    free = garage.slots[garage.slot_free & garage.slot_open]
-    if zone:
-        wanted = np.array([garage.graph.names[v].startswith(zone) for v in free], dtype=np.bool_)
-        free = free[wanted] if wanted.any() else free
-    steps = costs.around(origin) if around_cars else costs.to(origin)
-    return int(free[np.argmin(steps[free])]) if len(free) else -1

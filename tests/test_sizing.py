@@ -131,7 +131,7 @@ agvs: 1
 plant: discrete
 planner: whca
 duration_s: 900
-workload: {kind: poisson, arrivals_per_h: 60, dwell_median_min: 10, initial_occupancy: 0.3, duration_min: 10}
+workload: {kind: poisson, arrivals_per_h: 120, dwell_median_min: 10, initial_occupancy: 0.3, duration_min: 10}
 record: {sample_s: 60}
 """
 
@@ -189,7 +189,7 @@ def test_bays_and_chargers_are_sized_after_the_fleet(
     written = json.loads((tmp_path / "runs" / "size-s-own" / "sizing.json").read_text())["sized"]
     assert [sized["what"] for sized in written] == ["agvs", "bays", "chargers"]
     fleet, bays, chargers = (sized["number"] for sized in written)
-    assert (bays, chargers) == (2, 1), "60 customers an hour are too many for one bay; no battery is ever empty"
+    assert (bays, chargers) == (2, 1), "120 customers an hour are too many for one bay; no battery is ever empty"
     assert f"With {fleet} AGVs, 2 bays meet 'queue mean < 100 s'" in said
     # with all bays it is the fleet's own runs, which are not done again
     values = {sized["what"]: {tried["number"]: tried["values_s"] for tried in sized["tried"]} for sized in written}

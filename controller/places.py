@@ -1,0 +1,73 @@
+"""Which slot a car gets, and which bay a car is brought to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from controller.costs import Costs
+from controller.dispatch import AGE_WEIGHT, oldest_first, pairs
+from controller.garage import Garage, Job
+from sumo_nets.graph import FloatArray, IntArray
+
+#: Part of the way from a slot to the next car asked for that counts when the slot is chosen: another AGV may take that
+#: car by then.
+ONWARD_WEIGHT = 0.5
+
+#: Seconds of driving that a second outweighs for which a car has been on its AGV. Less than for jobs: while an AGV from
+#: far away is on its way to a bay, nobody else can use that bay.
+WAIT_WEIGHT = 0.02
+
+
+def choose_slot(garage: Garage, origin: int, zone: str, costs: Costs, around_cars: bool = False) -> int:
+    """The free slot with the shortest way there, and on to a car that is asked for; -1 when all are taken.
+
+    Args:
+        garage: the books.
+        origin: where the car stands.
+        zone: beginning of the wanted slots' names, "" for any; if none of these is free it is any.
+        costs: driving costs.
+        around_cars: the way there leads around parked cars as they stand now, and what comes then does not count.
+    """
+    free = garage.slots[garage.slot_free & garage.slot_open]
+    if zone:
+        wanted = np.array([garage.graph.names[v].startswith(zone) for v in free], dtype=np.bool_)
+        free = free[wanted] if wanted.any() else free
+    if not len(free):
+        return -1
+    if around_cars:
+        return int(free[np.argmin(costs.around(origin)[free])])
+    return int(free[np.argmin(costs.out_of(origin)[free] + ONWARD_WEIGHT * _onward(free, garage.open, costs))])
+
+
+def _onward(slots: IntArray, jobs: Sequence[Job], costs: Costs) -> FloatArray:
+    """From each slot what the cheapest car to be fetched next costs as ``nearest_job`` counts; 0 if there is none."""
+    fetch = oldest_first([job for job in jobs if not job.is_park])
+    if not fetch:
+        return np.zeros(len(slots))
+    onward = np.full(len(slots), np.inf)
+    for job in fetch:
+        younger = AGE_WEIGHT * (job.requested_s - fetch[0].requested_s) / costs.step_s
+        np.minimum(onward, costs.to(job.origin)[slots] + younger, out=onward)
+    return onward
+
+
+def choose_bays(
+    at: Mapping[int, int], since_s: Mapping[int, float], free: Mapping[int, int], costs: Costs
+) -> dict[int, int]:
+    """Bays for AGVs that carry a car to one: of all pairs the one with the shortest way first, then the next.
+
+    Args:
+        at: the vertex of each of these AGVs.
+        since_s: since when each of them has had its car; a second counts as ``WAIT_WEIGHT`` seconds of driving.
+        free: the bays that may be chosen, with the steps until each of them can take a car.
+        costs: driving costs.
+
+    Returns:
+        The bay of each AGV that gets one.
+    """
+    agvs, bays = sorted(at), sorted(free)
+    cost = np.array([[costs.to(bay)[at[agv]] + free[bay] for bay in bays] for agv in agvs], dtype=np.float64)
+    cost += np.array([[WAIT_WEIGHT * since_s[agv] / costs.step_s] for agv in agvs])
+    return {agvs[row]: bays[column] for row, column in pairs(cost)}

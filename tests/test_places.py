@@ -1,0 +1,105 @@
+"""Which slot and which bay: against shortest paths of networkx in a garage with one-way lanes, and in whole runs."""
+
+import networkx as nx
+import numpy as np
+import pytest
+
+from analysis.tables import load_run
+from controller.costs import Costs
+from controller.dispatch import AGE_WEIGHT
+from controller.garage import Garage
+from controller.places import ONWARD_WEIGHT, WAIT_WEIGHT, choose_bays, choose_slot
+from controller.types import Request, RequestKind, make_motion
+from parking_sim.config import load_scenario
+from parking_sim.simulation import simulate
+from sumo_nets.movingai import grid_graph
+from sumo_nets.read import read_net
+
+GRAPH = read_net("map3").graph
+STEPS, STEP_S = 4, 0.5
+MOTION = make_motion(GRAPH, STEP_S, lambda _metres, _loaded: STEPS, lambda _degrees, _loaded: 0, True)
+COSTS = Costs(GRAPH, MOTION, np.zeros(len(GRAPH.names), dtype=np.uint8))
+LANES = nx.DiGraph(zip(GRAPH.tail.tolist(), GRAPH.head.tolist(), strict=True))
+
+
+def steps_from(vertex):
+    return {v: STEPS * moves for v, moves in nx.single_source_shortest_path_length(LANES, vertex).items()}
+
+
+def garage(cars=0):
+    books = Garage(GRAPH, "bay", np.random.default_rng(1))
+    books.place_initial([f"car{n}" for n in range(cars)], np.random.default_rng(2))
+    return books
+
+
+@pytest.mark.parametrize("bay", GRAPH.bays)
+def test_the_slot_is_the_one_that_is_reached_first_though_the_way_back_may_be_long(bay):
+    books, there = garage(cars=700), steps_from(bay)
+    slot = choose_slot(books, bay, "", COSTS)
+    assert books.slot_free[list(books.slots).index(slot)]
+    assert there[slot] == min(there[v] for v in books.slots[books.slot_free])
+
+
+def test_of_slots_as_near_the_one_on_the_way_to_a_car_that_is_asked_for():
+    books = garage(cars=500)
+    for n, car in enumerate(("car7", "car99", "car300")):
+        books.request(Request(60.0 * n, RequestKind.RETRIEVE, car), 60.0 * n)
+    for bay in GRAPH.bays:
+        there, slot = steps_from(bay), choose_slot(books, bay, "", COSTS)
+
+        def cost(v, there=there):
+            onward = steps_from(int(v))
+            younger = {j.origin: AGE_WEIGHT * j.requested_s / STEP_S for j in books.open}
+            return there[v] + ONWARD_WEIGHT * min(onward[u] + younger[u] for u in younger)
+
+        assert cost(slot) == min(cost(v) for v in books.slots[books.slot_free])
+
+
+def test_a_zone_comes_before_nearness_and_is_left_when_it_is_full():
+    books = garage()
+    assert GRAPH.names[choose_slot(books, GRAPH.bays[0], "slot31_", COSTS)].startswith("slot31_")
+    books.slot_free[[GRAPH.names[v].startswith("slot31_") for v in books.slots]] = False
+    assert choose_slot(books, GRAPH.bays[0], "slot31_", COSTS) == choose_slot(books, GRAPH.bays[0], "", COSTS)
+    books.slot_free[:] = False
+    assert choose_slot(books, GRAPH.bays[0], "", COSTS) == -1
+
+
+CORRIDOR = grid_graph("corridor", ["." * 40])
+LINE = Costs(
+    CORRIDOR,
+    make_motion(CORRIDOR, STEP_S, lambda _metres, _loaded: STEPS, lambda _degrees, _loaded: 0, True),
+    np.zeros(40, dtype=np.uint8),
+)
+
+
+def test_a_bay_goes_to_who_is_nearest_and_each_agv_gets_one():
+    since = dict.fromkeys(range(3), 0.0)
+    assert choose_bays({0: 10, 1: 2, 2: 30}, since, {0: 0}, LINE) == {1: 0}
+    assert choose_bays({0: 10, 1: 2, 2: 30}, since, {0: 0, 39: 0}, LINE) == {1: 0, 2: 39}
+    assert choose_bays({0: 10}, since, {0: 0, 39: 0}, LINE) == {0: 0}
+    assert choose_bays({0: 10}, since, {0: 29 * STEPS, 39: 0}, LINE) == {0: 39}, "a bay where a car stands takes longer"
+
+
+@pytest.mark.parametrize(("later_s", "first"), [(0.0, 1), (790.0, 1), (810.0, 0)])
+def test_who_has_waited_long_goes_first_by_and_by(later_s, first):
+    assert pytest.approx(8 * STEPS * STEP_S) == WAIT_WEIGHT * 800
+    assert choose_bays({0: 12, 1: 4}, {0: 100.0, 1: 100.0 + later_s}, {0: 0}, LINE) == {first: 0}
+
+
+def test_while_all_bays_are_taken_cars_wait_at_the_agvs_homes(tmp_path):
+    traffic = {"kind": "poisson", "arrivals_share_per_h": 2.0, "dwell_median_min": 5.0, "initial_occupancy": 0.5}
+    scenario = load_scenario(
+        "map1", {"agvs": 8, "workload": traffic, "duration_s": 1200.0, "record": {"sample_s": 2.0}}
+    )
+    metrics = simulate(scenario, tmp_path / "run").metrics
+    for nothing in ("deadlocks_found", "footprint_overlaps", "sumo_collisions"):
+        assert metrics[nothing] == 0
+    assert metrics["tasks_done"] > 20
+    trajectory = load_run(tmp_path / "run").trajectory
+    stands = trajectory[(trajectory["mode"] == "returning_with_car") & (trajectory["speed_mps"] < 0.01)]
+    homes = read_net("map1").graph  # an AGV's front stands at the vertex
+    at_home = [
+        np.hypot(row.x_m - homes.xy[homes.homes[row.agv], 0], row.y_m - homes.xy[homes.homes[row.agv], 1]) < 3.0
+        for row in stands.itertuples()
+    ]
+    assert sum(at_home) > 0.5 * len(stands) > 100, "not in the slots, from where the way to a bay is long"
