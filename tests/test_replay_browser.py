@@ -219,7 +219,7 @@ def test_follow_an_agv_and_a_car(replay: Browser) -> None:
     left, top = replay.run("(b => [b.x, b.y])(document.getElementById('stage').getBoundingClientRect())")
     x, y = replay.run(f"replay.toScreen({agv['x']}, {agv['y']})")
     replay.click(left + x, top + y)
-    assert "AGV 2" in replay.run("document.getElementById('following').textContent")
+    replay.wait("document.getElementById('following').textContent.includes('AGV 2')")
     replay.run("document.querySelector('[data-tab=cars]').click()")
     car = replay.run("replay.drawn.cars[0].car")
     name = replay.run(f"replay.head.cars[{car}]")
