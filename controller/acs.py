@@ -214,7 +214,7 @@ class Acs:
         return chosen
 
     def _steps_to_bays(self, vertex: int) -> int:
-        return min(int(self.costs.to(bay)[vertex]) for bay in self.graph.bays)
+        return min(int(self.costs.turning_to(bay, loaded=True)[vertex]) for bay in self.graph.bays)
 
     def _lowered(self, agv: Agv, job: Job) -> None:
         self._commands += self.garage.lowered(job, self._now_s)

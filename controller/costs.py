@@ -1,19 +1,21 @@
-"""Driving costs between places, for choosing AGVs, slots and bays. Other AGVs and turns are left out of the account.
+"""Driving costs between places, for choosing AGVs, slots and bays. Other AGVs are left out of the account.
 
-``to`` and ``out_of`` count every slot as passable and are made once for each place; ``around`` takes parked cars as
-walls, as they stand now.
+``to`` and ``out_of`` leave turns out, count every slot as passable and are made once for each place; ``turning_to`` is
+with turns and passes no slot where there is another way; ``around`` takes parked cars as walls, as they stand now.
 """
 
 from __future__ import annotations
 
 import heapq
 from collections import OrderedDict
+from collections.abc import Callable
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.types import FOREVER, Motion
+from controller.search.space import Lanes, Space
+from controller.types import FOREVER, NEVER, Motion
 from sumo_nets.graph import Graph, IntArray
 
 
@@ -31,7 +33,7 @@ class Costs:
 
     def __init__(self, graph: Graph, motion: Motion, blocked: NDArray[np.uint8], max_bytes: int = 1 << 28) -> None:
         self.step_s = motion.step_s
-        self._tables: OrderedDict[tuple[int, bool], IntArray] = OrderedDict()
+        self._tables: OrderedDict[tuple[int, str], IntArray] = OrderedDict()
         self._keep = max(256, max_bytes // (4 * len(graph.names)))
         into = np.argsort(graph.head, kind="stable").astype(np.int32)
         first = np.searchsorted(graph.head[into], np.arange(len(graph.names) + 1)).astype(np.int32)
@@ -39,26 +41,41 @@ class Costs:
         self._out_of = (graph.first_out, graph.head, motion.edge_steps[0])
         self._blocked = blocked
         self._open = np.zeros_like(blocked)
+        self._slots = np.zeros_like(blocked)
+        self._slots[list(graph.slots)] = 1
+        self._lanes = Space(graph, motion).lanes
         self.expanded = 0
 
     def to(self, goal: int) -> IntArray:
         """Steps from each vertex to the goal, shape (n,); ``FOREVER`` where it cannot be reached."""
-        return self._table(goal, True)
+        return self._kept(goal, "to", lambda: _dijkstra(goal, self._open, *self._into))
 
     def out_of(self, start: int) -> IntArray:
         """Steps from a vertex to each other one, shape (n,); one-way lanes make that another way than ``to`` it."""
-        return self._table(start, False)
+        return self._kept(start, "out_of", lambda: _dijkstra(start, self._open, *self._out_of))
 
-    def _table(self, vertex: int, inwards: bool) -> IntArray:
-        table = self._tables.get((vertex, inwards))
+    def turning_to(self, goal: int, loaded: bool = False) -> IntArray:
+        """Steps to the goal from each vertex, where the first turn is free, shape (n,)."""
+        return self._kept(goal, "loaded" if loaded else "empty", lambda: self._turning(goal, loaded))
+
+    def _turning(self, goal: int, loaded: bool) -> tuple[IntArray, int]:
+        table, expanded = _turning_to(goal, loaded, self._slots, self._lanes)
+        cut_off = table >= FOREVER
+        if cut_off.any():
+            through, more = _turning_to(goal, loaded, self._open, self._lanes)
+            table[cut_off], expanded = through[cut_off], expanded + more
+        return table, expanded
+
+    def _kept(self, vertex: int, kind: str, make: Callable[[], tuple[IntArray, int]]) -> IntArray:
+        table = self._tables.get((vertex, kind))
         if table is None:
-            table, expanded = _dijkstra(vertex, self._open, *(self._into if inwards else self._out_of))
+            table, expanded = make()
             self.expanded += expanded
-            self._tables[vertex, inwards] = table
+            self._tables[vertex, kind] = table
             if len(self._tables) > self._keep:
                 self._tables.popitem(last=False)
         else:
-            self._tables.move_to_end((vertex, inwards))
+            self._tables.move_to_end((vertex, kind))
         return table
 
     def around(self, start: int, blocked: NDArray[np.uint8] | None = None) -> IntArray:
@@ -93,3 +110,35 @@ def _dijkstra(root, blocked, first, ends, steps):  # type: ignore[no-untyped-def
                 g[u] = there
                 heapq.heappush(OPEN, (there, u))
     return g, expanded
+
+
+@njit(cache=True)
+def _turning_to(goal: int, loaded: bool, closed: NDArray[np.uint8], lanes: Lanes) -> tuple[IntArray, int]:
+    """Backwards from the goal over edges, a state being "at the head of an edge, having come over it"."""
+    row = int(loaded)
+    g = np.full(len(lanes.tail), FOREVER, dtype=np.int32)
+    to = np.full(len(lanes.first_out) - 1, FOREVER, dtype=np.int32)
+    to[goal] = 0
+    OPEN = [(np.int32(0), np.int32(0))]
+    OPEN.pop()
+    for i in range(lanes.first_in[goal], lanes.first_in[goal + 1]):
+        g[lanes.in_edges[i]] = 0
+        heapq.heappush(OPEN, (np.int32(0), np.int32(lanes.in_edges[i])))
+    expanded = 0
+    while OPEN:
+        cost, out = heapq.heappop(OPEN)
+        if cost > g[out]:
+            continue
+        expanded += 1
+        v = lanes.tail[out]
+        here = np.int32(cost + lanes.edge_steps[row, out])
+        to[v] = min(to[v], here)
+        if closed[v]:
+            continue
+        for i in range(lanes.first_in[v], lanes.first_in[v + 1]):
+            e = lanes.in_edges[i]
+            turn = lanes.turn_steps[row, lanes.first_transition[e] + out - lanes.first_out[v]]
+            if turn < NEVER and here + turn < g[e]:
+                g[e] = here + turn
+                heapq.heappush(OPEN, (np.int32(here + turn), np.int32(e)))
+    return to, expanded

@@ -77,7 +77,7 @@ def nearest_job(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, 
     for row, job in zip(cost, oldest, strict=True):
         row[:] = AGE_WEIGHT * (job.requested_s - oldest[0].requested_s) / costs.step_s
         if job.origin >= 0:  # else a car stands ready at every home
-            row += costs.to(job.origin)[here]
+            row += costs.turning_to(job.origin)[here]
             holder = taken.get(job.origin, -1)
             if holder >= 0:
                 row[agvs != holder] = np.inf

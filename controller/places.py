@@ -49,7 +49,7 @@ def _onward(slots: IntArray, jobs: Sequence[Job], costs: Costs) -> FloatArray:
     onward = np.full(len(slots), np.inf)
     for job in fetch:
         younger = AGE_WEIGHT * (job.requested_s - fetch[0].requested_s) / costs.step_s
-        np.minimum(onward, costs.to(job.origin)[slots] + younger, out=onward)
+        np.minimum(onward, costs.turning_to(job.origin)[slots] + younger, out=onward)
     return onward
 
 
@@ -68,6 +68,8 @@ def choose_bays(
         The bay of each AGV that gets one.
     """
     agvs, bays = sorted(at), sorted(free)
-    cost = np.array([[costs.to(bay)[at[agv]] + free[bay] for bay in bays] for agv in agvs], dtype=np.float64)
+    cost = np.array(
+        [[costs.turning_to(bay, loaded=True)[at[agv]] + free[bay] for bay in bays] for agv in agvs], dtype=np.float64
+    )
     cost += np.array([[WAIT_WEIGHT * since_s[agv] / costs.step_s] for agv in agvs])
     return {agvs[row]: bays[column] for row, column in pairs(cost)}

@@ -3,13 +3,18 @@
 import networkx as nx
 import numpy as np
 import pytest
+from brute_force import bodies, garages
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from analysis.tables import load_run
 from controller.costs import Costs
 from controller.dispatch import AGE_WEIGHT
 from controller.garage import Garage
 from controller.places import ONWARD_WEIGHT, WAIT_WEIGHT, choose_bays, choose_slot
-from controller.types import Request, RequestKind, make_motion
+from controller.search.distances import Distances
+from controller.search.space import Space
+from controller.types import FOREVER, Request, RequestKind, make_motion
 from parking_sim.config import load_scenario
 from parking_sim.simulation import simulate
 from sumo_nets.movingai import grid_graph
@@ -24,6 +29,24 @@ LANES = nx.DiGraph(zip(GRAPH.tail.tolist(), GRAPH.head.tolist(), strict=True))
 
 def steps_from(vertex):
     return {v: STEPS * moves for v, moves in nx.single_source_shortest_path_length(LANES, vertex).items()}
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_costs_with_turns_are_the_distances_that_plans_are_made_with(data):
+    graph = data.draw(garages(10))
+    motion = bodies(graph)
+    slots = np.zeros(len(graph.names), dtype=np.uint8)
+    slots[list(graph.slots)] = 1
+    around, through = Distances(Space(graph, motion), ends=slots), Distances(Space(graph, motion))
+    around.update(slots)
+    costs = Costs(graph, motion, np.zeros_like(slots))
+    for goal in range(len(graph.names)):
+        for loaded in (False, True):
+            table = costs.turning_to(goal, loaded)
+            for v in range(len(graph.names)):
+                steps = around.distance(v, -1, goal, loaded)
+                assert table[v] == (steps if steps < FOREVER else through.distance(v, -1, goal, loaded))
 
 
 def garage(cars=0):
