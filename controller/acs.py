@@ -182,7 +182,7 @@ class Acs:
         waiting = {
             agv.number: agv.job
             for agv in self.agvs
-            if agv.mode is AgvMode.RETURNING_WITH_CAR and agv.job and agv.job.destination < 0
+            if agv.mode is AgvMode.RETURNING_WITH_CAR and agv.job and agv.job.destination < 0 and not agv.immobile
         }
         if not waiting:
             return
