@@ -170,18 +170,20 @@ def draw(table: Sequence[dict[str, Any]], path: Path) -> None:
     """Throughput over the size of the fleet, a panel for each garage and a line for each planner."""
     import matplotlib.pyplot as plt
 
-    garages = sorted({line["garage"] for line in table})
-    figure, panels = plt.subplots(1, len(garages), figsize=(4.5 * len(garages), 3.5), squeeze=False)
-    for axes, garage in zip(panels[0], garages, strict=True):
-        for planner in sorted({line["planner"] for line in table}):
+    garages, planners = (sorted({line[key] for line in table}) for key in ("garage", "planner"))
+    ticks = sorted({line["agvs"] for line in table})
+    figure, panels = plt.subplots(
+        -(-len(garages) // 3), 3, figsize=(13.5, 3.7 * -(-len(garages) // 3)), squeeze=False, layout="constrained"
+    )
+    for axes, garage in zip(panels.flat, garages, strict=False):
+        for n, planner in enumerate(planners):
             mine = [line for line in table if line["garage"] == garage and line["planner"] == planner]
             fleets, tasks = ([line[key] for line in mine] for key in ("agvs", "tasks_per_h"))
-            axes.plot(fleets, tasks, marker=".", label=planner)
-        axes.set_title(garage)
-        axes.set_xlabel("AGVs")
-        axes.set_ylabel("tasks an hour")
-        axes.set_xscale("log", base=2)
-        axes.legend()
+            axes.plot(fleets, tasks, ".-" if n < 10 else ".--", color=f"C{n % 10}", label=planner)
+        axes.set(title=garage, xlabel="AGVs", ylabel="tasks an hour", xscale="log")
+        axes.set_xticks(ticks, [str(n) for n in ticks])
+        axes.minorticks_off()
+    figure.legend(*panels[0][0].get_legend_handles_labels(), loc="outside right upper")
     figure.savefig(path, bbox_inches="tight")
 
 
