@@ -206,13 +206,13 @@ def main() -> None:
         given.minutes, given.seeds = 60, 10
     done = pd.read_csv(given.csv).to_dict("records") if given.csv and given.csv.exists() else []
     have = {tuple(row[key] for key in KEYS) for row in done}
-    wanted = cases(given)
+    wanted = dict.fromkeys(cases(given))
     for row in rows([case for case in wanted if case not in have], given.workers):
         done.append(row)
         print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
         if given.csv:
             pd.DataFrame(done).sort_values(list(KEYS)).to_csv(given.csv, index=False)
-    table = means([row for row in done if tuple(row[key] for key in KEYS) in set(wanted)])
+    table = means([row for row in done if tuple(row[key] for key in KEYS) in wanted])
     print("\n" + " | ".join(table[0]))
     for line in table:
         print(" | ".join(str(value) for value in line.values()))

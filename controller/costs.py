@@ -14,8 +14,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.search.space import Lanes, Space
-from controller.types import FOREVER, NEVER, Motion
+from controller.search.distances import steps_to
+from controller.search.space import EXPANDED, Space
+from controller.types import FOREVER, Motion
 from sumo_nets.graph import Graph, IntArray
 
 
@@ -59,12 +60,12 @@ class Costs:
         return self._kept(goal, "loaded" if loaded else "empty", lambda: self._turning(goal, loaded))
 
     def _turning(self, goal: int, loaded: bool) -> tuple[IntArray, int]:
-        table, expanded = _turning_to(goal, loaded, self._slots, self._lanes)
+        counters = np.zeros(4, dtype=np.int64)
+        table = steps_to(goal, loaded, self._slots, self._lanes, counters)
         cut_off = table >= FOREVER
         if cut_off.any():
-            through, more = _turning_to(goal, loaded, self._open, self._lanes)
-            table[cut_off], expanded = through[cut_off], expanded + more
-        return table, expanded
+            table[cut_off] = steps_to(goal, loaded, self._open, self._lanes, counters)[cut_off]
+        return table, int(counters[EXPANDED])
 
     def _kept(self, vertex: int, kind: str, make: Callable[[], tuple[IntArray, int]]) -> IntArray:
         table = self._tables.get((vertex, kind))
@@ -110,35 +111,3 @@ def _dijkstra(root, blocked, first, ends, steps):  # type: ignore[no-untyped-def
                 g[u] = there
                 heapq.heappush(OPEN, (there, u))
     return g, expanded
-
-
-@njit(cache=True)
-def _turning_to(goal: int, loaded: bool, closed: NDArray[np.uint8], lanes: Lanes) -> tuple[IntArray, int]:
-    """Backwards from the goal over edges, a state being "at the head of an edge, having come over it"."""
-    row = int(loaded)
-    g = np.full(len(lanes.tail), FOREVER, dtype=np.int32)
-    to = np.full(len(lanes.first_out) - 1, FOREVER, dtype=np.int32)
-    to[goal] = 0
-    OPEN = [(np.int32(0), np.int32(0))]
-    OPEN.pop()
-    for i in range(lanes.first_in[goal], lanes.first_in[goal + 1]):
-        g[lanes.in_edges[i]] = 0
-        heapq.heappush(OPEN, (np.int32(0), np.int32(lanes.in_edges[i])))
-    expanded = 0
-    while OPEN:
-        cost, out = heapq.heappop(OPEN)
-        if cost > g[out]:
-            continue
-        expanded += 1
-        v = lanes.tail[out]
-        here = np.int32(cost + lanes.edge_steps[row, out])
-        to[v] = min(to[v], here)
-        if closed[v]:
-            continue
-        for i in range(lanes.first_in[v], lanes.first_in[v + 1]):
-            e = lanes.in_edges[i]
-            turn = lanes.turn_steps[row, lanes.first_transition[e] + out - lanes.first_out[v]]
-            if turn < NEVER and here + turn < g[e]:
-                g[e] = here + turn
-                heapq.heappush(OPEN, (np.int32(here + turn), np.int32(e)))
-    return to, expanded

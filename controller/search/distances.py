@@ -134,14 +134,7 @@ class Distances:
     def _whole_field(self, goal: int, loaded: bool, known: dict[tuple[int, bool], Field]) -> Field:
         field = known.get((goal, loaded))
         if field is None:
-            lanes = self.space.lanes
-            field = Field(
-                np.zeros((len(lanes.tail), 4), dtype=np.int32),
-                np.array([0, goal, loaded, goal, 0], dtype=np.int32),
-                np.zeros(4),
-                np.zeros(0, dtype=np.int32),
-            )
-            _close_all(field, lanes, self._ends, self.counters)
+            field = _whole(goal, loaded, self._ends, self.space.lanes, self.counters)
             known[goal, loaded] = field
         return field
 
@@ -157,6 +150,37 @@ class Distances:
         if not straight or not _read_way(field, s.lanes, self.blocked):
             _begin(field, s.lanes, self.counters)
         return field
+
+
+def steps_to(goal: int, loaded: bool, ends: NDArray[np.uint8], lanes: Lanes, counters: NDArray[np.int64]) -> IntArray:
+    """Steps to a goal from each vertex, where the first turn is free, shape (n,); ``FOREVER`` where there is no way.
+
+    Args:
+        goal, loaded, lanes, counters: as everywhere here.
+        ends: shape (n,), 1 at vertices that are never driven through.
+    """
+    return _from_all(_whole(goal, loaded, ends, lanes, counters), lanes, ends)
+
+
+def _whole(goal: int, loaded: bool, ends: NDArray[np.uint8], lanes: Lanes, counters: NDArray[np.int64]) -> Field:
+    """A field without an aim, searched to its end."""
+    field = Field(
+        np.zeros((len(lanes.tail), 4), dtype=np.int32),
+        np.array([0, goal, loaded, goal, 0], dtype=np.int32),
+        np.zeros(4),
+        np.zeros(0, dtype=np.int32),
+    )
+    _close_all(field, lanes, ends, counters)
+    return field
+
+
+@njit(cache=True)
+def _from_all(field: Field, lanes: Lanes, blocked: NDArray[np.uint8]) -> IntArray:
+    steps = np.zeros(len(lanes.first_out) - 1, dtype=np.int32)
+    for v in range(len(steps)):
+        if v != field.meta[GOAL]:
+            steps[v] = _best_way_out(v, -1, field, lanes, blocked)[0]
+    return steps
 
 
 @njit(cache=True)
