@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from controller.places import choose_bays, choose_slot
 from controller.planning import ControlOptions, Mask, Planning
 from controller.rules import Rules
 from controller.types import Action, AgvMode, AgvState, Command, Motion, Planner
-from sumo_nets.graph import Graph
+from sumo_nets.graph import Graph, IntArray
 
 #: How events leave the ACS: kind, AGV (-1 for none), car, vertex (-1 for none), details.
 Log = Callable[[str, int, str, int, dict[str, object]], None]
@@ -196,7 +197,7 @@ class Acs:
             if n in chosen:
                 job.destination = chosen[n]
                 self._set_goal(agv, chosen[n])
-            elif at[n] != job.origin or self._steps_to_bays(agv.home) < self._steps_to_bays(at[n]):
+            elif at[n] != job.origin or self._steps_to_bays[agv.home] < self._steps_to_bays[at[n]]:
                 self._set_goal(agv, agv.home)
             if agv.goal != job.origin and at[n] == job.origin:
                 self.garage.vacate(job.origin)
@@ -213,8 +214,11 @@ class Acs:
         self._claims.update({bay: n for n, bay in chosen.items()})
         return chosen
 
-    def _steps_to_bays(self, vertex: int) -> int:
-        return min(int(self.costs.turning_to(bay, loaded=True)[vertex]) for bay in self.graph.bays)
+    @cached_property
+    def _steps_to_bays(self) -> IntArray:
+        """Steps with a car from each vertex to the nearest bay, shape (n,)."""
+        tables = [self.costs.turning_to(bay, loaded=True) for bay in self.graph.bays]
+        return np.min(tables, axis=0).astype(np.int32)
 
     def _lowered(self, agv: Agv, job: Job) -> None:
         self._commands += self.garage.lowered(job, self._now_s)

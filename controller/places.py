@@ -68,8 +68,7 @@ def choose_bays(
         The bay of each AGV that gets one.
     """
     agvs, bays = sorted(at), sorted(free)
-    cost = np.array(
-        [[costs.turning_to(bay, loaded=True)[at[agv]] + free[bay] for bay in bays] for agv in agvs], dtype=np.float64
-    )
+    here = [at[agv] for agv in agvs]
+    cost = np.column_stack([costs.turning_to(bay, loaded=True)[here] + free[bay] for bay in bays]).astype(np.float64)
     cost += np.array([[WAIT_WEIGHT * since_s[agv] / costs.step_s] for agv in agvs])
     return {agvs[row]: bays[column] for row, column in pairs(cost)}
