@@ -218,7 +218,8 @@ class Acs:
     def _steps_to_bays(self) -> IntArray:
         """Steps with a car from each vertex to the nearest bay, shape (n,)."""
         tables = [self.costs.turning_to(bay, loaded=True) for bay in self.graph.bays]
-        return np.min(tables, axis=0).astype(np.int32)
+        nearest: IntArray = np.min(tables, axis=0)
+        return nearest
 
     def _lowered(self, agv: Agv, job: Job) -> None:
         self._commands += self.garage.lowered(job, self._now_s)
