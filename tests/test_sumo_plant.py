@@ -132,8 +132,8 @@ def test_front_and_rear_are_where_sumo_says(map1, started):
             assert state.reached >= granted.index(graph.tail[e])
             x, y = plant._place[0, 0], plant._place[1, 0]
             assert (x, y) == pytest.approx(vehicle.getPosition("agv0"))
-            rear_past_tail = vehicle.getLanePosition("agv0") - plant.agv_type.length_m + plant._before_m[e]
-            assert (state.left > granted.index(graph.tail[e])) == (rear_past_tail >= plant._clear_m[e] - 1e-5)
+            rear_past_tail = vehicle.getLanePosition("agv0") - plant.agv_type.length_m + plant._lanes.before_m[e]
+            assert (state.left > granted.index(graph.tail[e])) == (rear_past_tail >= plant._lanes.clear_m[e] - 1e-5)
 
 
 @pytest.mark.parametrize("delay", [1, 4, 6, 7, 8, 9, 10, 11, 12, 13])
@@ -321,7 +321,7 @@ def _fcd(path: Path) -> str:
 def test_the_same_over_traci(map1, started, monkeypatch):
     """What --gui runs, with SUMO's own program in place of sumo-gui."""
     pytest.importorskip("traci")
-    import parking_sim.plants.sumo as module
+    import parking_sim.plants.sumo_api as module
 
     find = module._find_binary
     try:

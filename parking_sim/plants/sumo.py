@@ -15,13 +15,10 @@ An AGV's SUMO route always ends at the last vertex granted to it, with a stop th
 
 from __future__ import annotations
 
-import io
 import math
-import os
-import shutil
 import tempfile
 from collections.abc import Sequence
-from contextlib import redirect_stdout, suppress
+from contextlib import suppress
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -32,9 +29,10 @@ from controller.types import Act, Action, Advance, AgvState, CallForward, Comman
 from parking_sim.footprint import Bodies
 from parking_sim.plants import AgvSample, PlantEvent
 from parking_sim.plants.sumo_agv import AgvType, sumo_motion
-from parking_sim.plants.sumo_clearance import rear_clearances
+from parking_sim.plants.sumo_api import PlantError, load_api
 from parking_sim.plants.sumo_customers import Customers, StreetState
 from parking_sim.plants.sumo_files import EMPTY, LOADED, agv_name, output_options, write_run
+from parking_sim.plants.sumo_lanes import Lanes, Progress
 from sumo_nets.graph import Graph
 
 if TYPE_CHECKING:
@@ -45,36 +43,19 @@ BATTERY_STEPS = 120
 #: Steps SUMO may take to bring all AGVs to a stand at the start.
 START_STEPS = 20
 
-#: An AGV this close to the end of its lane may have stopped there.
-NEAR_END_M = 0.2
 _STOPPED = 1  # bit of getStopState
 
 
-class PlantError(RuntimeError):
-    """SUMO refused something, or was asked for what it cannot do."""
-
-
 class _Agv:
-    """What the plant remembers of one AGV. Edge number k ends at granted vertex k; its front is on edge ``k``."""
+    """What the plant remembers of one AGV."""
 
-    __slots__ = (
-        "acting", "applied", "at_m", "edges", "k", "left", "name", "near_end", "on_junction", "pending", "reached",
-        "rear_m", "road", "share", "soc", "stopped",
-    )  # fmt: skip
+    __slots__ = ("acting", "applied", "name", "pending", "progress", "share", "soc", "stopped")
 
-    def __init__(self, name: str, edge: int, road: str, rear_m: float) -> None:
+    def __init__(self, name: str, progress: Progress) -> None:
         self.name = name
-        self.edges = [edge]  # driven and granted; the first one is where it starts
-        self.at_m = [0.0]  # metres from the start vertex to each granted vertex, along the way
-        self.k = 0
+        self.progress = progress
         self.applied = 0  # edges up to this one are in SUMO's route
-        self.road = road
-        self.rear_m = rear_m  # where the rear is on that scale when the lane position is 0
-        self.reached = 0
-        self.left = 0
         self.stopped = True
-        self.near_end = True  # the next step may end on another edge
-        self.on_junction = False
         self.pending = False  # granted further than ``applied``
         self.acting: Act | None = None
         self.soc = 1.0
@@ -120,7 +101,6 @@ class SumoPlant:
         self.sumo_s = 0.0
         self._step = 0
         self._meeting: frozenset[tuple[str, str]] = frozenset()
-        self._reach_m = max(agv_type.empty_mps, agv_type.loaded_mps) * step_s + NEAR_END_M
         self._due = 0  # step at which the next action ends
         self._routes: set[tuple[int, ...]] = set()
         self._temporary = tempfile.TemporaryDirectory() if outputs is None else None
@@ -129,7 +109,7 @@ class SumoPlant:
         edge_names = [garage.graph.edge_names[e] for e in first_edges]
         config = write_run(folder, garage, edge_names, agv_type, seed, step_s)
         self._open = False
-        self._api, binary = _load_api(gui)
+        self._api, binary = load_api(gui)
         self._errors: tuple[type[Exception], ...] = (self._api.TraCIException, self._api.FatalTraCIError)
         if self._api.isLoaded():
             raise PlantError("another SUMO simulation is open in this process: close it first, or use another process")
@@ -145,7 +125,7 @@ class SumoPlant:
             self._api.start([*command, "--start", "--quit-on-end"] if gui else command)
             self._open = True
             self._read_lanes(garage)
-            self._agvs = [self._new_agv(i, e) for i, e in enumerate(first_edges)]
+            self._agvs = [_Agv(agv_name(i), Progress(e, self._lanes)) for i, e in enumerate(first_edges)]
             self._customers = Customers(self._api, garage)
             self._stand()
         except (*self._errors, OSError) as error:
@@ -291,27 +271,10 @@ class SumoPlant:
     # ------------------------------------------------------------------ start
 
     def _read_lanes(self, garage: GarageNet) -> None:
-        graph, lane = garage.graph, self._api.lane
-        self._edge_names = graph.edge_names
-        self._lane_m = [lane.getLength(f"{name}_0") for name in graph.edge_names]
-        self._before_m: list[float] = []  # from the centre of the tail's node to the lane's begin
-        self._pitch_m: list[float] = []  # from centre to centre
-        for e, shape in enumerate(garage.shapes):
-            before = math.dist(shape[0], graph.xy[graph.tail[e]])
-            self._before_m.append(before)
-            self._pitch_m.append(before + self._lane_m[e] + math.dist(shape[-1], graph.xy[graph.head[e]]))
-        # from the tail's centre to where a rear is out of the way there
-        self._clear_m = rear_clearances(garage, self.agv_type, self._lane_m, self._before_m)
-        for e, name in enumerate(graph.edge_names):
-            if self._before_m[e] + self._lane_m[e] - self.agv_type.length_m < self._clear_m[e] - 1e-6:
-                raise PlantError(f"edge {name} is too short: an AGV that stands on it touches the vertex behind it")
+        length_m = [self._api.lane.getLength(f"{name}_0") for name in garage.graph.edge_names]
+        self._lanes = Lanes(garage, self.agv_type, length_m, self.motion.step_s)
         for station in garage.charging_station_of_edge.values():
             self._api.chargingstation.setChargingPower(station, self.agv_type.charge_w)
-
-    def _new_agv(self, index: int, edge: int) -> _Agv:
-        # the scale of at_m starts at the start vertex, so the lane's begin lies one pitch behind it
-        begin = self._before_m[edge] - self._pitch_m[edge]
-        return _Agv(agv_name(index), edge, self._edge_names[edge], begin - self.agv_type.length_m)
 
     def _stand(self) -> None:
         n = len(self._agvs)
@@ -343,12 +306,12 @@ class SumoPlant:
         for i in sorted(self._moving):
             a = self._agvs[i]
             pos = vehicle.getLanePosition(a.name)
-            if a.near_end and not self._enter_next_edge(a, vehicle.getRoadID(a.name)):
-                a.reached = a.k  # between two edges
-            else:
-                self._leave_behind(a, pos)
-                if a.near_end and self._stands(a, pos):
-                    a.reached = a.k
+            if not a.progress.near_end:
+                a.progress.drive(pos)
+            elif a.progress.enter(vehicle.getRoadID(a.name)):
+                a.progress.drive(pos)
+                if a.progress.near_end and self._stands(a, pos):
+                    a.progress.reached = a.progress.k
                     if not a.pending:
                         self._keep(i)
                         self._rest(i)
@@ -356,28 +319,8 @@ class SumoPlant:
             self._keep(i)
             self._report(i, False)
 
-    def _enter_next_edge(self, a: _Agv, road: str) -> bool:
-        """Move the front's edge up to where SUMO says it is; False on a junction."""
-        a.on_junction = road[0] == ":"
-        if a.on_junction:
-            return False
-        if road != a.road:
-            while a.road != road:
-                a.k += 1
-                a.road = self._edge_names[a.edges[a.k]]
-            a.reached = a.k - 1
-            a.rear_m = a.at_m[a.k - 1] + self._before_m[a.edges[a.k]] - self.agv_type.length_m
-        return True
-
-    def _leave_behind(self, a: _Agv, pos: float) -> None:
-        """Free the vertices that the rear has left, and see whether the next step may end on another edge."""
-        a.near_end = pos + self._reach_m >= self._lane_m[a.edges[a.k]]
-        rear = a.rear_m + pos + 1e-6
-        while a.left < a.k and rear >= a.at_m[a.left] + self._clear_m[a.edges[a.left + 1]]:
-            a.left += 1
-
     def _stands(self, a: _Agv, pos: float) -> bool:
-        if a.k == a.applied and pos >= self._lane_m[a.edges[a.k]] - NEAR_END_M:
+        if a.progress.k == a.applied and a.progress.at_end(pos):
             a.stopped = bool(self._api.vehicle.getStopState(a.name) & _STOPPED)
         return a.stopped
 
@@ -389,8 +332,9 @@ class SumoPlant:
 
     def _report(self, i: int, standing: bool) -> None:
         a, old = self._agvs[i], self._states[i]
-        if a.reached != old.reached or a.left != old.left or standing != old.standing or a.soc != old.soc:
-            self._states[i] = AgvState(i, a.reached, a.left, standing, a.soc)
+        reached, left = a.progress.reached, a.progress.left
+        if reached != old.reached or left != old.left or standing != old.standing or a.soc != old.soc:
+            self._states[i] = AgvState(i, reached, left, standing, a.soc)
 
     def _rest(self, i: int) -> None:
         """It has come to a stand at the end of its authority: no need to look at it until it is told something."""
@@ -422,16 +366,16 @@ class SumoPlant:
 
     def _advance(self, command: Advance) -> None:
         i, a = command.agv, self._agvs[command.agv]
+        progress = a.progress
         for vertex in command.vertices:
-            last = a.edges[-1]
+            last = progress.edges[-1]
             edge = self.graph.edge_index.get((int(self.graph.head[last]), vertex), -1)
             if edge < 0:
                 names = self.graph.names
                 raise PlantError(f"no edge from {names[self.graph.head[last]]} to {names[vertex]} for AGV {i}")
-            if edge == self.graph.reverse[last] and not (a.stopped and a.k == len(a.edges) - 1):
+            if edge == self.graph.reverse[last] and not (a.stopped and progress.k == len(progress.edges) - 1):
                 raise PlantError(f"AGV {i} cannot reverse at {self.graph.names[self.graph.head[last]]} while it drives")
-            a.edges.append(edge)
-            a.at_m.append(a.at_m[-1] + self._pitch_m[edge])
+            progress.grant(edge)
         a.pending = True
         self._waiting.add(i)
         self._report(i, False)
@@ -439,24 +383,25 @@ class SumoPlant:
     def _extend(self, i: int) -> None:
         """Extend route and stop to what is granted; on a junction or during an action it waits for a later step."""
         a = self._agvs[i]
-        if a.on_junction or a.acting is not None:
+        if a.progress.on_junction or a.acting is not None:
             return
         vehicle = self._api.vehicle
-        ahead = tuple(a.edges[a.k :])
+        edges, names, length_m = a.progress.edges, self._lanes.names, self._lanes.length_m
+        ahead = tuple(edges[a.progress.k :])
         route = "_".join(map(str, ahead))
         if ahead not in self._routes:
             self._routes.add(ahead)
-            self._api.route.add(route, [self._edge_names[e] for e in ahead])
-        old, last = a.edges[a.applied], ahead[-1]
+            self._api.route.add(route, [names[e] for e in ahead])
+        old, last = edges[a.applied], ahead[-1]
         vehicle.setRouteID(a.name, route)
-        vehicle.setStop(a.name, self._edge_names[last], self._lane_m[last])
+        vehicle.setStop(a.name, names[last], length_m[last])
         if a.stopped:
             a.stopped = False
             vehicle.resume(a.name)
             self._moving.add(i)
         else:
-            vehicle.setStop(a.name, self._edge_names[old], self._lane_m[old], duration=0.0)
-        a.applied = len(a.edges) - 1
+            vehicle.setStop(a.name, names[old], length_m[old], duration=0.0)
+        a.applied = len(edges) - 1
         a.pending = False
         self._waiting.discard(i)
 
@@ -519,28 +464,3 @@ def _start_edges(graph: Graph, starts: Sequence[int]) -> list[int]:
 def _half_turn(angle_deg: float) -> float:
     """The same direction between -180 (exclusive) and 180 degrees."""
     return angle_deg if angle_deg > -180.0 else angle_deg + 360.0
-
-
-def _load_api(gui: bool) -> tuple[Any, str]:
-    """The library to talk to SUMO, and the program it starts."""
-    if not gui:
-        with redirect_stdout(io.StringIO()):  # it prints hints about optional packages
-            import libsumo
-        return libsumo, "sumo"
-    try:
-        import traci
-    except ImportError:
-        raise PlantError("sumo-gui needs traci: install parking-sim with the extra 'nets'") from None
-    return traci, _find_binary("sumo-gui")
-
-
-def _find_binary(name: str) -> str:
-    """A program of SUMO: the one in the package eclipse-sumo, or one on the search path."""
-    try:
-        from sumo import SUMO_HOME
-    except ImportError:
-        SUMO_HOME = ""
-    found = shutil.which(name, path=os.path.join(SUMO_HOME, "bin")) or shutil.which(name)
-    if found is None:
-        raise PlantError(f"{name} is not installed: install parking-sim with the extra 'nets'")
-    return found

@@ -1,0 +1,42 @@
+"""The library that talks to SUMO, and what goes wrong there."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+from contextlib import redirect_stdout
+from typing import Any
+
+
+class PlantError(RuntimeError):
+    """SUMO refused something, or was asked for what it cannot do."""
+
+
+def load_api(gui: bool) -> tuple[Any, str]:
+    """The library to talk to SUMO, libsumo or for sumo-gui TraCI, and the program it starts.
+
+    Raises:
+        PlantError: sumo-gui or traci is not installed.
+    """
+    if not gui:
+        with redirect_stdout(io.StringIO()):  # it prints hints about optional packages
+            import libsumo
+        return libsumo, "sumo"
+    try:
+        import traci
+    except ImportError:
+        raise PlantError("sumo-gui needs traci: install parking-sim with the extra 'nets'") from None
+    return traci, _find_binary("sumo-gui")
+
+
+def _find_binary(name: str) -> str:
+    """A program of SUMO: the one in the package eclipse-sumo, or one on the search path."""
+    try:
+        from sumo import SUMO_HOME
+    except ImportError:
+        SUMO_HOME = ""
+    found = shutil.which(name, path=os.path.join(SUMO_HOME, "bin")) or shutil.which(name)
+    if found is None:
+        raise PlantError(f"{name} is not installed: install parking-sim with the extra 'nets'")
+    return found
