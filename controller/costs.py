@@ -1,23 +1,23 @@
 """Driving costs between places, for choosing AGVs, slots and bays. Other AGVs are left out of the account.
 
-``to`` and ``out_of`` leave turns out, count every slot as passable and are made once for each place; ``turning_to`` is
-with turns and passes no slot where there is another way; ``around`` takes parked cars as walls, as they stand now.
+``to`` and ``out_of`` leave turns out, count every slot as passable and are made once for each place; ``turning_to`` and
+``turning_to_any`` are with turns, the first one free, and pass no slot where there is another way; ``around`` takes
+parked cars as walls, as they stand now.
 """
 
 from __future__ import annotations
 
 import heapq
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.search.distances import steps_to
-from controller.search.space import EXPANDED, Space
-from controller.types import FOREVER, Motion
-from sumo_nets.graph import Graph, IntArray
+from controller.search.space import Space
+from controller.types import FOREVER, NEVER, Motion
+from sumo_nets.graph import FloatArray, Graph, IntArray
 
 
 class Costs:
@@ -56,16 +56,28 @@ class Costs:
         return self._kept(start, "out_of", lambda: _dijkstra(start, self._open, *self._out_of))
 
     def turning_to(self, goal: int, loaded: bool = False) -> IntArray:
-        """Steps to the goal from each vertex, where the first turn is free, shape (n,)."""
-        return self._kept(goal, "loaded" if loaded else "empty", lambda: self._turning(goal, loaded))
+        """Steps to the goal from each vertex, shape (n,); ``FOREVER`` where it cannot be reached."""
+        return self._kept(goal, "loaded" if loaded else "empty", lambda: self._to_one(goal, loaded))
 
-    def _turning(self, goal: int, loaded: bool) -> tuple[IntArray, int]:
-        counters = np.zeros(4, dtype=np.int64)
-        table = steps_to(goal, loaded, self._slots, self._lanes, counters)
+    def _to_one(self, goal: int, loaded: bool) -> tuple[IntArray, int]:
+        table, expanded = self._turning([goal], [0.0], loaded)
+        return table.astype(np.int32), expanded
+
+    def turning_to_any(self, goals: Sequence[int], more: Sequence[float]) -> FloatArray:
+        """From each vertex the least of the steps to one of the goals and what that one costs ``more``, shape (n,)."""
+        table, expanded = self._turning(goals, more, False)
+        self.expanded += expanded
+        return table
+
+    def _turning(self, goals: Sequence[int], more: Sequence[float], loaded: bool) -> tuple[FloatArray, int]:
+        vertices, extra = np.array(goals, dtype=np.int32), np.array(more)
+        table, expanded = _towards(vertices, extra, loaded, self._slots, self._lanes)
         cut_off = table >= FOREVER
         if cut_off.any():
-            table[cut_off] = steps_to(goal, loaded, self._open, self._lanes, counters)[cut_off]
-        return table, int(counters[EXPANDED])
+            through_slots, further = _towards(vertices, extra, loaded, self._open, self._lanes)
+            table[cut_off] = through_slots[cut_off]
+            expanded += further
+        return table, expanded
 
     def _kept(self, vertex: int, kind: str, make: Callable[[], tuple[IntArray, int]]) -> IntArray:
         table = self._tables.get((vertex, kind))
@@ -111,3 +123,44 @@ def _dijkstra(root, blocked, first, ends, steps):  # type: ignore[no-untyped-def
                 g[u] = there
                 heapq.heappush(OPEN, (there, u))
     return g, expanded
+
+
+@njit(cache=True)
+def _towards(goals, more, loaded, ends, lanes):  # type: ignore[no-untyped-def]
+    """From several goals backwards, each begun at what it costs more, over edges, so that turns count.
+
+    OPEN holds edges with the cost from their head on; nobody drives through ``ends``, so they are only looked at.
+    """
+    row = int(loaded)
+    cost = np.full(len(lanes.first_out) - 1, float(FOREVER))
+    g = np.full(len(lanes.tail), float(FOREVER))
+    OPEN = [(0.0, np.int32(0)) for _ in range(0)]
+    for k in range(len(goals)):
+        cost[goals[k]] = min(cost[goals[k]], more[k])
+        for i in range(lanes.first_in[goals[k]], lanes.first_in[goals[k] + 1]):
+            e = lanes.in_edges[i]
+            if more[k] < g[e]:
+                g[e] = more[k]
+                heapq.heappush(OPEN, (g[e], np.int32(e)))
+    expanded = 0
+    while OPEN:
+        reached, out = heapq.heappop(OPEN)
+        if reached > g[out]:
+            continue
+        expanded += 1
+        v = lanes.tail[out]
+        there = reached + lanes.edge_steps[row, out]
+        cost[v] = min(cost[v], there)
+        if ends[v]:
+            continue
+        for i in range(lanes.first_in[v], lanes.first_in[v + 1]):
+            e = lanes.in_edges[i]
+            turn = lanes.turn_steps[row, lanes.first_transition[e] + out - lanes.first_out[v]]
+            if turn >= NEVER or there + turn >= g[e]:
+                continue
+            g[e] = there + turn
+            if ends[lanes.tail[e]]:
+                cost[lanes.tail[e]] = min(cost[lanes.tail[e]], g[e] + lanes.edge_steps[row, e])
+            else:
+                heapq.heappush(OPEN, (g[e], np.int32(e)))
+    return cost, expanded

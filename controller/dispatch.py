@@ -73,14 +73,13 @@ def nearest_job(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, 
     oldest = oldest_first(jobs)
     agvs = np.array(sorted(at))
     here = np.array([at[agv] for agv in sorted(at)])
-    cost = np.empty((len(oldest), len(agvs)))
+    younger_s = np.array([job.requested_s for job in oldest]) - oldest[0].requested_s
+    cost = np.repeat(AGE_WEIGHT * younger_s[:, None] / costs.step_s, len(agvs), axis=1)
     for row, job in zip(cost, oldest, strict=True):
-        row[:] = AGE_WEIGHT * (job.requested_s - oldest[0].requested_s) / costs.step_s
         if job.origin >= 0:  # else a car stands ready at every home
             row += costs.turning_to(job.origin)[here]
-            holder = taken.get(job.origin, -1)
-            if holder >= 0:
-                row[agvs != holder] = np.inf
+        if taken.get(job.origin, -1) >= 0:
+            row[agvs != taken[job.origin]] = np.inf
     return [Offer(oldest[j], int(agvs[a]), oldest[j].origin) for j, a in pairs(cost)]
 
 

@@ -46,11 +46,8 @@ def _onward(slots: IntArray, jobs: Sequence[Job], costs: Costs) -> FloatArray:
     fetch = oldest_first([job for job in jobs if not job.is_park])
     if not fetch:
         return np.zeros(len(slots))
-    onward = np.full(len(slots), np.inf)
-    for job in fetch:
-        younger = AGE_WEIGHT * (job.requested_s - fetch[0].requested_s) / costs.step_s
-        np.minimum(onward, costs.turning_to(job.origin)[slots] + younger, out=onward)
-    return onward
+    younger = [AGE_WEIGHT * (job.requested_s - fetch[0].requested_s) / costs.step_s for job in fetch]
+    return costs.turning_to_any([job.origin for job in fetch], younger)[slots]
 
 
 def choose_bays(

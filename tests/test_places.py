@@ -49,6 +49,17 @@ def test_costs_with_turns_are_the_distances_that_plans_are_made_with(data):
                 assert table[v] == (steps if steps < FOREVER else through.distance(v, -1, goal, loaded))
 
 
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_costs_to_any_of_several_goals_are_the_least_of_those_to_each(data):
+    graph = data.draw(st.one_of(st.just(GRAPH), garages(10)))
+    costs = Costs(graph, bodies(graph), np.zeros(len(graph.names), dtype=np.uint8))
+    goals = data.draw(st.lists(st.sampled_from(graph.slots or range(len(graph.names))), min_size=1, max_size=6))
+    more = data.draw(st.lists(st.floats(0, 60), min_size=len(goals), max_size=len(goals)))
+    least = np.min([costs.turning_to(goal) + extra for goal, extra in zip(goals, more, strict=True)], axis=0)
+    np.testing.assert_allclose(np.minimum(costs.turning_to_any(goals, more), FOREVER), np.minimum(least, FOREVER))
+
+
 def garage(cars=0):
     books = Garage(GRAPH, "bay", np.random.default_rng(1))
     books.place_initial([f"car{n}" for n in range(cars)], np.random.default_rng(2))

@@ -152,16 +152,6 @@ class Distances:
         return field
 
 
-def steps_to(goal: int, loaded: bool, ends: NDArray[np.uint8], lanes: Lanes, counters: NDArray[np.int64]) -> IntArray:
-    """Steps to a goal from each vertex, where the first turn is free, shape (n,); ``FOREVER`` where there is no way.
-
-    Args:
-        goal, loaded, lanes, counters: as everywhere here.
-        ends: shape (n,), 1 at vertices that are never driven through.
-    """
-    return _from_all(_whole(goal, loaded, ends, lanes, counters), lanes, ends)
-
-
 def _whole(goal: int, loaded: bool, ends: NDArray[np.uint8], lanes: Lanes, counters: NDArray[np.int64]) -> Field:
     """A field without an aim, searched to its end."""
     field = Field(
@@ -172,15 +162,6 @@ def _whole(goal: int, loaded: bool, ends: NDArray[np.uint8], lanes: Lanes, count
     )
     _close_all(field, lanes, ends, counters)
     return field
-
-
-@njit(cache=True)
-def _from_all(field: Field, lanes: Lanes, blocked: NDArray[np.uint8]) -> IntArray:
-    steps = np.zeros(len(lanes.first_out) - 1, dtype=np.int32)
-    for v in range(len(steps)):
-        if v != field.meta[GOAL]:
-            steps[v] = _best_way_out(v, -1, field, lanes, blocked)[0]
-    return steps
 
 
 @njit(cache=True)
