@@ -12,8 +12,11 @@ new goals. Departures from the paper: one kind of neighbourhood, and a number of
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Mapping
-from itertools import pairwise
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain, pairwise
+
+import numpy as np
+from numba import njit
 
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
@@ -59,7 +62,8 @@ class Improvement:
 
     def run(self, tries: int, threshold: int) -> None:
         """Try so many neighbourhoods of agents that wait for more than ``threshold`` steps."""
-        late = self._late(threshold)
+        waited = self._waited(list(self.agents))
+        late = self._late(waited, threshold)
         while late and self.tried < tries:
             agv = late.pop(0)
             others = self._in_the_way(agv)
@@ -72,13 +76,27 @@ class Improvement:
             if others and self._again(order):
                 self.taken += 1
                 self.looked.update(dict.fromkeys([agv, *others], 0))
-                late = self._late(threshold)
+                waited.update(self._waited(order))
+                late = self._late(waited, threshold)
 
-    def _late(self, threshold: int) -> list[int]:
+    def _late(self, waited: Mapping[int, int], threshold: int) -> list[int]:
         """AGVs that wait too long on their way, those looked at least first, then those that wait longest."""
-        waiting = {agv: sum(steps for _, _, steps in self._waits(agv)) for agv in self.agents}
-        late = (agv for agv in waiting if waiting[agv] > threshold)
-        return sorted(late, key=lambda agv: (self.looked.get(agv, 0), -waiting[agv], agv))
+        late = (agv for agv in waited if waited[agv] > threshold)
+        return sorted(late, key=lambda agv: (self.looked.get(agv, 0), -waited[agv], agv))
+
+    def _waited(self, agvs: Sequence[int]) -> dict[int, int]:
+        """For how many steps each of these AGVs waits on its way, all in all."""
+        if not agvs:
+            return {}
+        agents, paths = [self.agents[agv] for agv in agvs], [self.paths[agv] for agv in agvs]
+        first = np.cumsum([0, *(len(path.vertices) for path in paths)], dtype=np.int32)
+        way, arrive, depart = (
+            np.fromiter(chain.from_iterable(times), dtype=np.int32)
+            for times in ((p.vertices for p in paths), (p.arrive for p in paths), (p.depart for p in paths))
+        )
+        now = np.array([(a.in_edge, a.ready_step, a.loaded) for a in agents], dtype=np.int32)
+        steps = _steps_waited(first, way, arrive, depart, now, self.search.distances.space.lanes)
+        return dict(zip(agvs, steps.tolist(), strict=True))
 
     def _waits(self, agv: int) -> Iterator[tuple[int, int, int]]:
         """Where an agent waits: the vertex it waits for, the step in which it could have set out, and for how long."""
@@ -126,3 +144,28 @@ class Improvement:
             for path in old.values():
                 self.table.add(path)
         return better
+
+
+@njit(cache=True)
+def _steps_waited(first, way, arrive, depart, now, lanes):  # type: ignore[no-untyped-def]
+    """For each of several paths, one after the other in the arrays, how much later it sets out than it could.
+
+    Args:
+        first: where each path begins in ``way`` and ``arrive``; ``depart`` has one entry less for each path.
+        way, arrive, depart: as in ``Path``.
+        now: edge come by, first step at which the agent can leave, 1 if loaded; a row each.
+        lanes: the garage.
+    """
+    waited = np.zeros(len(now), dtype=np.int64)
+    for i in range(len(now)):
+        came, could, loaded = now[i]
+        for k in range(first[i], first[i + 1] - 1):
+            u = way[k]
+            edge = lanes.first_out[u]
+            while lanes.head[edge] != way[k + 1]:
+                edge += 1
+            if came >= 0:
+                could += lanes.turn_steps[loaded, lanes.first_transition[came] + edge - lanes.first_out[u]]
+            waited[i] += max(0, depart[k - i] - could)
+            came, could = edge, arrive[k + 1]
+    return waited
