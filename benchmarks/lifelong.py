@@ -34,7 +34,7 @@ from sumo_nets.graph import Graph
 from sumo_nets.movingai import grid_graph, read_map
 
 #: Fleets of each map.
-FLEETS = {"warehouse": (10, 50, 100, 200), "garage": (4, 8, 16, 32, 64)}
+FLEETS = {"warehouse": (10, 50, 100, 200), "garage": (4, 8, 16, 32, 64), "long_garage": (4, 8, 16, 32, 64)}
 #: Options of the planners unless ``--options`` names others.
 OPTIONS: dict[str, dict[str, object]] = {"token": {"through_slots_agvs": 10**6, "improvements": 8}}
 #: Window in ticks, replanning period, and ticks without coming nearer to the goal that count as stuck. Agents of PIBT
@@ -51,18 +51,26 @@ def warehouse() -> Graph:
     return grid_graph("warehouse", ["." * 46, *block * 8])
 
 
-def garage() -> Graph:
-    """13 single-width two-way aisles between two main roads, 390 dead-end slots, 6 bays at the lower road."""
-    aisle = "@e.e" * 13 + "@"
-    walls = ["@@.@" * 13 + "@"]
+def garage(name: str = "garage", apart: int = 1) -> Graph:
+    """13 single-width two-way aisles between two main roads, 390 dead-end slots, 6 bays at the lower road.
+
+    Slots lie so many cells ``apart`` along their aisle.
+    """
+    aisle, wall = "@e.e" * 13 + "@", "@@.@" * 13 + "@"
     road = "." * len(aisle)
     bays = list("@" * len(aisle))
     for x in range(6):
         bays[4 + 9 * x] = "b"
-    return grid_graph("garage", [road, *walls, *[aisle] * 15, *walls, road, "".join(bays)])
+    row = [aisle, *[wall] * (apart - 1)]
+    return grid_graph(name, [road, wall, *(row * 15)[: 14 * apart + 1], wall, road, "".join(bays)])
 
 
-MAPS = {"warehouse": warehouse, "garage": garage}
+def long_garage() -> Graph:
+    """Aisles of 29 cells instead of 15, which makes trips as long as those of the public figures."""
+    return garage("long_garage", 2)
+
+
+MAPS = {"warehouse": warehouse, "garage": garage, "long_garage": long_garage}
 
 
 @dataclass(slots=True)
