@@ -47,7 +47,7 @@ def delay(problem: PlanningProblem, result: PlanResult, distances: Distances) ->
     for a in problem.agents:
         if a.agv in result.paths:
             path = result.paths[a.agv]
-            edge = problem.graph.edge_index[path.vertices[-2:]] if len(path.vertices) > 1 else -1
+            edge = problem.graph.edge_index[path.vertices[-2], path.vertices[-1]] if len(path.vertices) > 1 else -1
             rest = distances.distance(path.vertices[-1], edge, a.goal, a.loaded)
             end = path.arrive[-1] if rest == 0 else max(path.arrive[-1], problem.window_steps)
             late.append(end + rest - distances.distance(a.vertex, -1, a.goal, a.loaded))

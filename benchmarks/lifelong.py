@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -110,7 +111,7 @@ class Lifelong:
     """
 
     def __init__(
-        self, graph: Graph, agents: int, planner: str, seed: int, options: dict[str, object], **control: object
+        self, graph: Graph, agents: int, planner: str, seed: int, options: dict[str, object], **control: Any
     ) -> None:
         self.graph = graph
         motion = ticks(graph)

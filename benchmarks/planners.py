@@ -204,7 +204,9 @@ def main() -> None:
     if given.full:
         given.garages, given.planners, given.agvs = GARAGES, PLANNERS, FLEETS
         given.minutes, given.seeds = 60, 10
-    done = pd.read_csv(given.csv).to_dict("records") if given.csv and given.csv.exists() else []
+    done: list[dict[str, Any]] = []
+    if given.csv and given.csv.exists():
+        done = [{str(key): value for key, value in row.items()} for row in pd.read_csv(given.csv).to_dict("records")]
     have = {tuple(row[key] for key in KEYS) for row in done}
     wanted = dict.fromkeys(cases(given))
     for row in rows([case for case in wanted if case not in have], given.workers):

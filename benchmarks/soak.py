@@ -27,6 +27,8 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from analysis.tables import load_run
+
 NOISE = "travel_noise"
 FAULTS: Mapping[str, Any] = {
     NOISE: 0.15,
@@ -99,13 +101,12 @@ def run(case: Case, seed: int, planner: str, rate: float) -> dict[str, Any]:
 
 def fault_seconds(folder: Path) -> dict[str, list[float]]:
     """Seconds from begin to end of each fault that ended, by kind; a breakdown lasts until it is repaired."""
-    import duckdb
-
-    query = f"select time_s, kind, agv, detail from '{folder}/events.parquet' where kind like 'fault%'"
+    events = load_run(folder).events
+    faults = events[events["kind"].isin(("fault_start", "fault_end"))]
     began: dict[int, tuple[float, str]] = {}
     broken: dict[int, float] = {}
     seconds: dict[str, list[float]] = {}
-    for time_s, kind, agv, detail in duckdb.sql(query).fetchall():
+    for time_s, kind, agv, detail in faults[["time_s", "kind", "agv", "detail"]].itertuples(index=False):
         fault = json.loads(detail)
         if kind == "fault_start":
             began[fault["fault"]] = (time_s, fault["cause"])

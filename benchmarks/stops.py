@@ -34,6 +34,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from lifelong import OPTIONS, Lifelong, warehouse
 
 from analysis.measures import interval
+from analysis.tables import load_run
 from controller.fleet import Agv
 from controller.types import AgvState
 
@@ -98,8 +99,6 @@ def in_warehouse(planner: str, agvs: int, share: float, seed: int, tasks: float,
 
 def in_sumo(garage: str, agvs: int, planner: str, seed: int, tasks: float, faults: Row, control: Row) -> Row:
     """Tasks done in a garage in SUMO of so many that come, and the share of time that stops took."""
-    import duckdb
-
     from parking_sim.config import check_scenario
     from parking_sim.simulation import simulate
 
@@ -109,10 +108,10 @@ def in_sumo(garage: str, agvs: int, planner: str, seed: int, tasks: float, fault
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
         metrics = simulate(check_scenario(data, "stops", Path()), out).metrics
-        query = f"select time_s, kind, detail from '{out}/events.parquet' where kind like 'fault%'"
-        events = duckdb.sql(query).fetchall()
+        events = load_run(out).events
     stood, begun = 0.0, {}
-    for time_s, kind, detail in events:
+    seen = events[events["kind"].isin(("fault_start", "fault_end"))]
+    for time_s, kind, detail in seen[["time_s", "kind", "detail"]].itertuples(index=False):
         fault = json.loads(detail)
         if fault["cause"] == "stop" and kind == "fault_start":
             begun[fault["fault"]] = time_s
