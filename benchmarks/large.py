@@ -17,12 +17,13 @@ import json
 import multiprocessing
 import resource
 import tempfile
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from time import process_time
 from typing import Any
 
-import pandas as pd
+from rows import give_out
 
 from parking_sim.config import DEFAULT_PLANNER, load_scenario
 from parking_sim.simulation import simulate
@@ -83,6 +84,14 @@ def net_in(folder: Path) -> Path:
     return net
 
 
+def rows(given: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """A row for each fleet."""
+    net = net_in(given.folder)
+    for agvs in given.agvs:
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+            yield pool.submit(run, net, agvs, given.planner, given.plant, given.minutes).result()
+
+
 def main() -> None:
     """Print a row for each fleet, and write them if asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
@@ -93,14 +102,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "parking-sim-large")
     parser.add_argument("--csv", type=Path)
     given = parser.parse_args()
-    net, done = net_in(given.folder), []
-    for agvs in given.agvs:
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-            row = pool.submit(run, net, agvs, given.planner, given.plant, given.minutes).result()
-        done.append(row)
-        print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
-    if given.csv:
-        pd.DataFrame(done).to_csv(given.csv, index=False)
+    give_out(rows(given), given.csv)
 
 
 if __name__ == "__main__":

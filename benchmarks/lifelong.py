@@ -20,7 +20,7 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-import pandas as pd
+from rows import give_out
 
 from controller.costs import Costs
 from controller.deadlock.ladder import LadderLimits
@@ -245,12 +245,7 @@ def main() -> None:
     parser.add_argument("--options", type=json.loads, default={}, help="of the planner, as JSON")
     parser.add_argument("--csv", type=Path)
     given = parser.parse_args()
-    done = []
-    for row in rows(given):
-        done.append(row)
-        print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
-    if given.csv:
-        pd.DataFrame(done).to_csv(given.csv, index=False)
+    give_out(rows(given), given.csv)
 
 
 if __name__ == "__main__":

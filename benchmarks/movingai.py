@@ -15,7 +15,7 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-import pandas as pd
+from rows import give_out
 
 from controller.conflicts import validate
 from controller.planners.contract import all_standing
@@ -78,12 +78,7 @@ def main() -> None:
     parser.add_argument("--planner", default="token,pbs,lacam")
     parser.add_argument("--csv", type=Path)
     given = parser.parse_args()
-    done = []
-    for row in rows(given):
-        done.append(row)
-        print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
-    if given.csv:
-        pd.DataFrame(done).to_csv(given.csv, index=False)
+    give_out(rows(given), given.csv)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,6 @@ without stops when there is always more to do.
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import math
 import random
@@ -26,12 +25,13 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 from lifelong import OPTIONS, Lifelong, warehouse
+from rows import give_out
 
 from analysis.measures import interval
 from analysis.tables import load_run
@@ -267,19 +267,6 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         figure.savefig(path, metadata={"Date": None})
 
 
-def _write(row: Row, file: TextIO | None, header: bool) -> None:
-    print(
-        " ".join(f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}" for key, value in row.items()),
-        flush=True,
-    )
-    if file:
-        writer = csv.DictWriter(file, list(row))
-        if header:
-            writer.writeheader()
-        writer.writerow(row)
-        file.flush()
-
-
 def main() -> None:
     """Make the runs, print the tables, draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
@@ -292,11 +279,7 @@ def main() -> None:
     parser.add_argument("--figure", type=Path)
     given = parser.parse_args()
     parts = given.part.split(",")
-    rows: list[Row] = []
-    file = given.csv.open("w", newline="", encoding="utf-8") if given.csv else None
-    for row in runs(given):
-        _write(row, file, not rows)
-        rows.append(row)
+    rows = give_out(runs(given), given.csv)
     for part in (part for part in parts if part != "noise"):
         print_stops(rows, part)
     if "noise" in parts:
