@@ -22,6 +22,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -49,8 +50,7 @@ class LacamOptions:
     improve: float = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class _Constraint:
+class _Constraint(NamedTuple):
     """Who has to go where: one agent each, those of ``parent`` included."""
 
     parent: _Constraint | None = None
@@ -147,6 +147,7 @@ class _Search:
         self.goal: _Node | None = None
         self.seed = problem.seed
         self._successors = problem.graph.successors
+        self._places_known: dict[tuple[int, int], list[int]] = {}
         self._goals, self.elsewhere, self.distance = self._aims()
         starts = np.array([agent.vertex for agent in self.agents], dtype=np.int32)
         n, a = len(outward), len(self.agents)
@@ -215,32 +216,32 @@ class _Search:
         return node
 
     def _cost(self, Q_from: IntArray, Q_to: IntArray) -> int:
-        """A unit for everybody who is not at the goal before and after."""
-        everybody = np.arange(len(Q_from))
-        return int(((self.distance[everybody, Q_from] > 0) | (self.distance[everybody, Q_to] > 0)).sum())
+        return int(_moves_paid(Q_from, Q_to, self.distance))
 
     def _propose(self, N: _Node, C: _Constraint) -> IntArray | None:
         """The next configuration under a constraint, whose own children are put on the tree; None if impossible."""
         if C.depth < len(self.agents):
             i = int(N.order[C.depth])
-            here = int(N.Q[i])
-            for v in (*self._successors[here], here):
-                if not self.closed[v] or v == here or (self.closed[v] == 1 and v == self.agents[i].goal):
-                    N.tree.append(_Constraint(C, i, v, C.depth + 1))
+            N.tree.extend(_Constraint(C, i, v, C.depth + 1) for v in self._places(i, int(N.Q[i])))
         self.proposals += 1
-        moves = self._moves
-        salt = self.seed * 7919 + self.proposals
-        _begin(N.Q, moves, self.distance, self.closed, self.lanes, salt)
+        told = []
         while C.parent is not None:
-            if moves.taker[C.vertex] != NOBODY or closes_ring(C.agent, C.vertex, moves):
-                break
-            moves.next[C.agent] = C.vertex
-            moves.taker[C.vertex] = C.agent
+            told.append((C.agent, C.vertex))
             C = C.parent
-        possible = C.parent is None and _complete(N.order, moves)
-        Q = moves.next.copy() if possible else None
-        _end(moves)
-        return Q
+        salt = self.seed * 7919 + self.proposals
+        moves, pairs = self._moves, np.array(told, dtype=np.int32).reshape(-1, 2)
+        possible = _settle(N.Q, N.order, pairs, moves, self.distance, self.closed, self.lanes, salt)
+        return moves.next.copy() if possible else None
+
+    def _places(self, i: int, here: int) -> list[int]:
+        """Where an agent may be after a move from a vertex."""
+        places = self._places_known.get((i, here))
+        if places is None:
+            goal = self.agents[i].goal
+            places = [v for v in self._successors[here] if not self.closed[v] or (self.closed[v] == 1 and v == goal)]
+            places.append(here)
+            self._places_known[i, here] = places
+        return places
 
     def _pass_on(self, N: _Node, OPEN: list[_Node]) -> None:
         """Pass a cheaper way on to all configurations known to follow (Dijkstra's relaxation)."""
@@ -283,6 +284,35 @@ def _fill_distances(goal: int, closed: NDArray[np.uint8], lanes: Lanes, distance
                 distance[u] = distance[v] + 1
                 queue[size] = u
                 size += 1
+
+
+@njit(cache=True)
+def _moves_paid(Q_from: IntArray, Q_to: IntArray, distance: IntArray) -> int:
+    """A unit for everybody who is not at the goal before and after."""
+    paid = 0
+    for i in range(len(Q_from)):
+        paid += distance[i, Q_from[i]] > 0 or distance[i, Q_to[i]] > 0
+    return paid
+
+
+@njit(cache=True)
+def _settle(
+    Q: IntArray, order: IntArray, told: IntArray, moves: Moves, distance: IntArray, closed: NDArray[np.uint8],
+    lanes: Lanes, salt: int,
+) -> bool:  # fmt: skip
+    """Settle everybody's move from ``Q``, first of those who are told where to go; False if that is impossible."""
+    _begin(Q, moves, distance, closed, lanes, salt)
+    possible = True
+    for k in range(len(told)):
+        agent, vertex = told[k]
+        if moves.taker[vertex] != NOBODY or closes_ring(agent, vertex, moves):
+            possible = False
+            break
+        moves.next[agent] = vertex
+        moves.taker[vertex] = agent
+    possible = possible and _complete(order, moves)
+    _end(moves)
+    return possible
 
 
 @njit(cache=True)
