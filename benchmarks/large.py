@@ -36,6 +36,8 @@ REQUESTS = 30.0
 PARTS = ("sumo", "plant", "planning", "execution", "record", "check")
 #: Simulated seconds of the run that compiles the kernels.
 COMPILE_S = 30.0
+#: Shortest run that has two reports of progress with enough time between them.
+LEAST_MIN = 5.0
 
 
 def run(net: Path, agvs: int, planner: str, plant: str, minutes: float) -> dict[str, Any]:
@@ -102,6 +104,8 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "parking-sim-large")
     parser.add_argument("--csv", type=Path)
     given = parser.parse_args()
+    if given.minutes < LEAST_MIN:
+        parser.error(f"--minutes: {given.minutes:g}: give {LEAST_MIN:g} or more, what comes before does not count")
     give_out(rows(given), given.csv)
 
 
