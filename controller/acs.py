@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from controller.claims import Claims
 from controller.costs import Costs
 from controller.dispatch import Rule
 from controller.executor import Executor
@@ -75,7 +76,7 @@ class Acs:
             setup.planner, setup.options, self.agvs, self.executor, setup.rules, self.costs, self.log
         )
         self.outages = Outages()
-        self._claims: dict[int, int] = {}
+        self._claims = Claims()
         self._attend: set[int] = set()
         self._low: set[int] = set()
         self._places: Mask = np.zeros(len(setup.graph.names), dtype=np.uint8)
@@ -147,6 +148,8 @@ class Acs:
 
     def _act(self, agv: Agv, action: Action, steps: int) -> None:
         agv.action = action
+        if agv.goal in self._claims.next:
+            self._plan_way_out(agv)
         car = agv.job.car if agv.job else ""
         self._commands.append(self.executor.act(agv.number, action, steps, self._step, car))
         if steps == 0:
@@ -154,6 +157,7 @@ class Acs:
 
     def _complete(self, agv: Agv) -> None:
         action, agv.action = agv.action, None
+        agv.then = -1
         if action is Action.CHARGE:
             self.log("charge_end", agv.number, "", agv.goal, {"soc": round(agv.soc, 4)})
             self._release(agv)
@@ -172,6 +176,8 @@ class Acs:
         if job.is_park:
             self._set_mode(agv, AgvMode.GOING_TO_PARK)
             self._set_goal(agv, job.destination)
+            if job.destination in self.outages.closed:
+                self._change_goal(agv)
         else:
             self._set_mode(agv, AgvMode.RETURNING_WITH_CAR)
 
@@ -180,6 +186,7 @@ class Acs:
 
         After dispatch: who has just brought a car to a bay takes the one that waits there before others claim the bay.
         """
+        self._claims.move_up()
         waiting = {
             agv.number: agv.job
             for agv in self.agvs
@@ -208,11 +215,37 @@ class Acs:
         free = {
             bay: wait if self.garage.bays[bay].outbound else 0
             for bay in self.graph.bays
-            if bay not in self._claims and bay not in self.outages.closed
+            if bay not in self._claims.holder and bay not in self.outages.closed
         }
-        chosen = choose_bays(at, since_s, free, self.costs) if free else {}
-        self._claims.update({bay: n for n, bay in chosen.items()})
+        leaving = self._leaving() if self.planning.rests else {}
+        chosen = choose_bays(at, since_s, free, leaving, self.costs)
+        for n, bay in chosen.items():
+            if bay in free:
+                self._claims.holder[bay] = n
+            else:
+                self._claims.next[bay] = n
+                self._plan_way_out(self.agvs[self._claims.holder[bay]])
         return chosen
+
+    def _leaving(self) -> dict[int, int]:
+        """Bays where an AGV is at work and another one may come next, with the steps until the first one leaves."""
+        found = {}
+        for bay, n in self._claims.holder.items():
+            agv = self.agvs[n]
+            at_work = bay in self.garage.bays and agv.goal == bay and agv.action is not None and not agv.immobile
+            if at_work and bay not in self._claims.next and bay not in self.outages.closed:
+                takes_one = agv.action is Action.LOWER and self._car_is_ready(bay)
+                found[bay] = self.executor.ready_step(n, self._step) + takes_one * self.rules.lift_bay
+        return found
+
+    def _plan_way_out(self, agv: Agv) -> None:
+        """Let an AGV have a plan to where it goes after its work at a bay, so that others can plan to come after it."""
+        agv.then = agv.job.destination if agv.job and agv.action is Action.LIFT else agv.home
+        self.planning.goal_changed()
+
+    def _car_is_ready(self, bay: int) -> bool:
+        job = self.garage.bays[bay].inbound
+        return job is not None and job.agv < 0 and job.ready_s <= self._now_s
 
     @cached_property
     def _steps_to_bays(self) -> IntArray:
@@ -254,10 +287,11 @@ class Acs:
             if agv.soc <= self.rules.charge_below and free_to_go:
                 here = self.executor.agvs[agv.number].last
                 may = self.rules.charge_anywhere or here == agv.home or here in self.garage.slot_of
-                free = [c for c in self.graph.chargers if c not in self._claims and c not in self.outages.closed]
+                taken = {*self._claims.holder, *self.outages.closed}
+                free = [c for c in self.graph.chargers if c not in taken]
                 if free and may:
                     charger = min(free, key=lambda c: int(self.costs.to(c)[here]))
-                    self._claims[charger] = agv.number
+                    self._claims.holder[charger] = agv.number
                     self._set_mode(agv, AgvMode.GOING_TO_CHARGE)
                     self._set_goal(agv, charger)
                     self._low.discard(agv.number)
@@ -272,9 +306,22 @@ class Acs:
         if not at or count <= 0:
             return
         before = self.costs.expanded
-        for offer in self._setup.dispatch(self.garage.open, at, self._claims, self.costs)[:count]:
+        for offer in self._setup.dispatch(self.garage.open, at, self._taken(), self.costs)[:count]:
             self._assign(offer.job, self.agvs[offer.agv], offer.origin)
         self.planning.slot_choice += self.costs.expanded - before
+
+    def _taken(self) -> dict[int, int]:
+        """Places with the only AGV that may fetch a car there.
+
+        A bay that has just been released is for the one that comes next, but who has been at work there takes the car
+        that waits if it need not wait for its customer.
+        """
+        taken = dict(self._claims.holder)
+        for bay, comes in self._claims.next.items():
+            here = self.executor.owner[bay]
+            stands = here >= 0 and self.executor.agvs[here].standing and self.executor.agvs[here].last == bay
+            taken.setdefault(bay, here if stands and self._car_is_ready(bay) else comes)
+        return taken
 
     def _assign(self, job: Job, agv: Agv, origin: int) -> None:
         origin = agv.home if origin < 0 else origin
@@ -286,7 +333,7 @@ class Acs:
         self.garage.assign(job, agv.number, self._now_s, origin, slot)
         agv.job = job
         if origin in self.garage.bays and self.garage.handover == "bay":
-            self._claims[origin] = agv.number
+            self._claims.holder[origin] = agv.number
         names = self.graph.names
         detail = {"request": job.number, "origin": names[origin], "destination": names[slot] if slot >= 0 else ""}
         self.log("task_assigned", agv.number, job.car, origin, detail)
@@ -308,8 +355,7 @@ class Acs:
             self._attend.add(agv.number)
 
     def _release(self, agv: Agv) -> None:
-        if self._claims.get(agv.goal) == agv.number:
-            del self._claims[agv.goal]
+        self._claims.release(agv.goal, agv.number)
 
     # --- faults ---------------------------------------------------------------------------------------------------
 
@@ -324,10 +370,11 @@ class Acs:
             if agv.off_duty:
                 self._give_back(agv)
             self._attend.add(n)
-        if fault.started and fault.kind in CLOSING:
-            for agv in self.agvs:
-                if agv.goal in fault.vertices and agv.goal not in self.executor.agvs[agv.number].trail:
-                    self._change_goal(agv)
+        lost = {*fault.vertices} if fault.started and fault.kind in CLOSING else set()
+        lost |= {bay for bay in self._claims.next if self._claims.holder.get(bay) in self.outages.immobile}
+        for agv in self.agvs:
+            if agv.goal in lost and agv.goal not in self.executor.agvs[agv.number].trail:
+                self._change_goal(agv)
         self._drop_plans_through(self._in_the_way())
         self.planning.goal_changed()
 
@@ -339,6 +386,9 @@ class Acs:
         for agv, a in zip(self.agvs, self.executor.agvs, strict=True):
             if agv.immobile or vertices.intersection(a.pending):
                 self.executor.cancel(agv.number)
+                comes = self._claims.next.get(agv.goal, -1)
+                if agv.then >= 0 and comes >= 0:  # it would stand in the way of the one that is to leave
+                    self.executor.cancel(comes)
 
     def _give_back(self, agv: Agv) -> None:
         """Let others have the task of an AGV that has no car on it yet, and send it home."""

@@ -63,6 +63,11 @@ class Authority:
         return self.trail[-1]
 
     @property
+    def leaves_loaded(self) -> bool:
+        """It carries a car when the action under way, if any, has ended."""
+        return self.acting is Action.LIFT or (self.loaded and self.acting is not Action.LOWER)
+
+    @property
     def granted(self) -> int:
         """Number of the last granted vertex."""
         return self.first + len(self.trail) - 1

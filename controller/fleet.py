@@ -30,6 +30,7 @@ class Agv:
         mode: one of the eight states.
         job: what it works on.
         action: action under way at the goal.
+        then: where it goes when that action has ended, -1 while its way there is not to be planned yet.
         soc: state of charge, 0 to 1.
         tasks: tasks done.
         immobile: it has reported a fault and cannot move.
@@ -42,10 +43,16 @@ class Agv:
     mode: AgvMode = AgvMode.IDLE
     job: Job | None = None
     action: Action | None = None
+    then: int = -1
     soc: float = 1.0
     tasks: int = 0
     immobile: bool = False
     off_duty: bool = False
+
+    @property
+    def heads_for(self) -> int:
+        """Where its plan has to end."""
+        return self.goal if self.then < 0 else self.then
 
 
 def priority(agv: Agv, stuck: int) -> int:

@@ -51,7 +51,11 @@ def _onward(slots: IntArray, jobs: Sequence[Job], costs: Costs) -> FloatArray:
 
 
 def choose_bays(
-    at: Mapping[int, int], since_s: Mapping[int, float], free: Mapping[int, int], costs: Costs
+    at: Mapping[int, int],
+    since_s: Mapping[int, float],
+    free: Mapping[int, int],
+    leaving: Mapping[int, int],
+    costs: Costs,
 ) -> dict[int, int]:
     """Bays for AGVs that carry a car to one: of all pairs the one with the shortest way first, then the next.
 
@@ -59,13 +63,18 @@ def choose_bays(
         at: the vertex of each of these AGVs.
         since_s: since when each of them has had its car; a second counts as ``WAIT_WEIGHT`` seconds of driving.
         free: the bays that may be chosen, with the steps until each of them can take a car.
+        leaving: bays that an AGV leaves in so many steps: for those only that would not be there before.
         costs: driving costs.
 
     Returns:
         The bay of each AGV that gets one.
     """
-    agvs, bays = sorted(at), sorted(free)
+    agvs, bays = sorted(at), sorted({*free, *leaving})
+    if not bays:
+        return {}
     here = [at[agv] for agv in agvs]
-    cost = np.column_stack([costs.turning_to(bay, loaded=True)[here] + free[bay] for bay in bays]).astype(np.float64)
+    way = np.column_stack([costs.turning_to(bay, loaded=True)[here] for bay in bays]).astype(np.float64)
+    cost = way + [free.get(bay, 0) for bay in bays]
     cost += np.array([[WAIT_WEIGHT * since_s[agv] / costs.step_s] for agv in agvs])
+    cost[way < [leaving.get(bay, 0) for bay in bays]] = np.inf
     return {agvs[row]: bays[column] for row, column in pairs(cost)}

@@ -89,6 +89,7 @@ class Planning:
         log: takes events.
 
     Attributes:
+        rests: everybody's plan can be carried out to its end, so that an AGV may be sent where one is about to leave.
         calls: planning calls since they were last taken.
         counters: search work of the whole run.
         slot_choice: vertices expanded for assignments since the last call; the next call's counters take them.
@@ -106,6 +107,7 @@ class Planning:
     ) -> None:
         self._planner = planner
         self._complete = bool(getattr(planner, "complete", False))
+        self.rests = self._complete and bool(getattr(planner, "rests", False))
         self._improves = self._complete and bool(getattr(planner, "improves", False))
         self._options = options
         self._agvs = agvs
@@ -210,7 +212,7 @@ class Planning:
         if not self._complete:
             return free
         ends = [a.pending[-1] if a.pending else a.last for a in self._executor.agvs]
-        return [agv for agv in free if ends[agv.number] != agv.goal or agv.number in self._meeting]
+        return [agv for agv in free if ends[agv.number] != agv.heads_for or agv.number in self._meeting]
 
     def _problem(self, step: int, blocked: Mask, no_rest: Mask) -> PlanningProblem:
         ex, locked = self._executor, self._ladder.locked
@@ -234,10 +236,10 @@ class Planning:
             stuck = (step - a.since) // self._rules.cell_steps
         ready = self._executor.ready_step(agv.number, step)
         dwell = self._rules.lift_bay
-        goal = a.last if agv.goal in self._executor.closed else agv.goal
+        goal = a.last if agv.heads_for in self._executor.closed else agv.heads_for
         rank = priority(agv, stuck)
         avoids = self._rules.empty_avoid_slots and agv.mode is AgvMode.RETURNING_HOME_EMPTY
-        return PlanAgent(agv.number, a.last, a.in_edge, ready, goal, a.loaded, dwell, rank, a.turned_to, avoids)
+        return PlanAgent(agv.number, a.last, a.in_edge, ready, goal, a.leaves_loaded, dwell, rank, a.turned_to, avoids)
 
     def _take(self, step: int, problem: PlanningProblem, result: PlanResult) -> None:
         paths = {path.agv: path for path in problem.fixed if path.agv < TRAIL} | dict(result.paths)

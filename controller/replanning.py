@@ -51,7 +51,7 @@ def _waits(executor: Executor, step: int, path: Path, within: int) -> Iterator[t
             return
         edge = executor.graph.edge_index[path.vertices[i], vertex]
         if i or a.turned_to != vertex:
-            ready += executor.motion.turn(executor.graph, in_edge, edge, a.loaded)
+            ready += executor.motion.turn(executor.graph, in_edge, edge, a.leaves_loaded)
         yield vertex, path.depart[i] - ready
         ready, in_edge = path.arrive[i + 1], edge
 

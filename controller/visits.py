@@ -260,7 +260,7 @@ def retime(executor: Executor, step: int) -> dict[int, Path]:
             free_at[list(a.trail)[:-1]] = clock[agv]
     here = np.array([a.last for a in agvs], dtype=np.int64)
     free_at[here] = FOREVER
-    now = np.array([(a.in_edge, a.turned_to, a.loaded) for a in agvs], dtype=np.int64).reshape(-1, 3)
+    now = np.array([(a.in_edge, a.turned_to, a.leaves_loaded) for a in agvs], dtype=np.int64).reshape(-1, 3)
     first = _starts(len(a.pending) for a in agvs)
     way = _longs(a.pending for a in agvs)
     queues = _starts(len(queue) for queue in executor.order.values())

@@ -108,16 +108,18 @@ LINE = Costs(
 
 def test_a_bay_goes_to_who_is_nearest_and_each_agv_gets_one():
     since = dict.fromkeys(range(3), 0.0)
-    assert choose_bays({0: 10, 1: 2, 2: 30}, since, {0: 0}, LINE) == {1: 0}
-    assert choose_bays({0: 10, 1: 2, 2: 30}, since, {0: 0, 39: 0}, LINE) == {1: 0, 2: 39}
-    assert choose_bays({0: 10}, since, {0: 0, 39: 0}, LINE) == {0: 0}
-    assert choose_bays({0: 10}, since, {0: 29 * STEPS, 39: 0}, LINE) == {0: 39}, "a bay where a car stands takes longer"
+    assert choose_bays({0: 10, 1: 2, 2: 30}, since, {0: 0}, {}, LINE) == {1: 0}
+    assert choose_bays({0: 10, 1: 2, 2: 30}, since, {0: 0, 39: 0}, {}, LINE) == {1: 0, 2: 39}
+    assert choose_bays({0: 10}, since, {0: 0, 39: 0}, {}, LINE) == {0: 0}
+    assert choose_bays({0: 10}, since, {0: 29 * STEPS, 39: 0}, {}, LINE) == {0: 39}, (
+        "a bay where a car stands takes longer"
+    )
 
 
 @pytest.mark.parametrize(("later_s", "first"), [(0.0, 1), (790.0, 1), (810.0, 0)])
 def test_who_has_waited_long_goes_first_by_and_by(later_s, first):
     assert pytest.approx(8 * STEPS * STEP_S) == WAIT_WEIGHT * 800
-    assert choose_bays({0: 12, 1: 4}, {0: 100.0, 1: 100.0 + later_s}, {0: 0}, LINE) == {first: 0}
+    assert choose_bays({0: 12, 1: 4}, {0: 100.0, 1: 100.0 + later_s}, {0: 0}, {}, LINE) == {first: 0}
 
 
 def test_while_all_bays_are_taken_cars_wait_at_the_agvs_homes(tmp_path):
@@ -131,9 +133,38 @@ def test_while_all_bays_are_taken_cars_wait_at_the_agvs_homes(tmp_path):
     assert metrics["tasks_done"] > 20
     trajectory = load_run(tmp_path / "run").trajectory
     stands = trajectory[(trajectory["mode"] == "returning_with_car") & (trajectory["speed_mps"] < 0.01)]
-    homes = read_net("map1").graph  # an AGV's front stands at the vertex
-    at_home = [
-        np.hypot(row.x_m - homes.xy[homes.homes[row.agv], 0], row.y_m - homes.xy[homes.homes[row.agv], 1]) < 3.0
-        for row in stands.itertuples()
-    ]
-    assert sum(at_home) > 0.5 * len(stands) > 100, "not in the slots, from where the way to a bay is long"
+    graph = read_net("map1").graph  # an AGV's front stands at the vertex
+    metres = np.hypot(*(stands[["x_m", "y_m"]].to_numpy()[:, None] - graph.xy).transpose(2, 0, 1))
+    at = metres.argmin(axis=1)
+    at_home = at == np.array(graph.homes)[stands["agv"]]
+    assert sum(at_home) > 2 * sum(np.isin(at, graph.slots)), "from the slots the way to a bay is long"
+    assert sum(at_home) > 100
+
+
+def test_who_would_be_at_a_bay_before_the_one_at_work_has_left_waits_where_it_is():
+    since = dict.fromkeys(range(3), 0.0)
+    assert choose_bays({0: 10, 1: 2, 2: 30}, since, {}, {0: 10 * STEPS}, LINE) == {0: 0}
+    assert choose_bays({0: 10, 1: 2, 2: 30}, since, {}, {0: 31 * STEPS}, LINE) == {}
+    assert choose_bays({0: 10, 1: 2, 2: 30}, since, {39: 0}, {0: 10 * STEPS}, LINE) == {2: 39, 0: 0}
+    assert choose_bays({0: 10}, since, {}, {}, LINE) == {}
+
+
+@pytest.mark.parametrize(("planner", "sets_out"), [("token", True), ("whca", False)])
+def test_with_complete_plans_the_next_agv_sets_out_while_the_one_at_the_bay_works(tmp_path, planner, sets_out):
+    traffic = {"kind": "poisson", "arrivals_share_per_h": 2.0, "dwell_median_min": 5.0, "initial_occupancy": 0.5}
+    keys = {"agvs": 8, "planner": planner, "workload": traffic, "duration_s": 1200.0, "record": {"sample_s": 1.0}}
+    metrics = simulate(load_scenario("map1", keys), tmp_path / "run").metrics
+    assert metrics["footprint_overlaps"] == metrics["sumo_collisions"] == metrics["deadlocks_unresolved"] == 0
+    record, names = load_run(tmp_path / "run"), read_net("map1").graph.names
+    works = record.events[record.events["kind"].isin(("lift", "lower"))].sort_values("time_s")
+    ways = {agv: [""] for agv in range(8)}
+    found = 0
+    for time_s, agv, _, path in record.plans.sort_values("time_s").itertuples(index=False):
+        ways[agv] = [names[int(v)] for v in path.split()]
+        bay = ways[agv][-1]
+        if bay.startswith("bay") and len(ways[agv]) > 1:
+            there = [n for n, way in ways.items() if way[0] == bay]
+            found += any(
+                works[(works["agv"] == n) & (works["time_s"] > time_s)]["vertex"].iloc[:1].eq(bay).any() for n in there
+            )
+    assert (found > 5) is sets_out

@@ -78,10 +78,12 @@ class Token:
     Attributes:
         complete: it plans complete paths; only agents whose goal is new have to be given, and ``fixed`` may hold the
             path that such an agent carries out so far.
+        rests: every agent always has a path to where it can rest for ever.
         improves: it wants to know the agents that have a path, ``PlanningProblem.carrying``.
     """
 
     complete = True
+    rests = True
 
     def __init__(self, space: Space, options: TokenOptions) -> None:
         self.options = options
