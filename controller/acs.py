@@ -217,7 +217,7 @@ class Acs:
             for bay in self.graph.bays
             if bay not in self._claims.holder and bay not in self.outages.closed
         }
-        leaving = self._leaving() if self.planning.rests else {}
+        leaving = self._leaving() if self.planning.rests and not free else {}
         chosen = choose_bays(at, since_s, free, leaving, self.costs)
         for n, bay in chosen.items():
             if bay in free:
@@ -228,24 +228,24 @@ class Acs:
         return chosen
 
     def _leaving(self) -> dict[int, int]:
-        """Bays where an AGV is at work and another one may come next, with the steps until the first one leaves."""
+        """Bays where an AGV is at work and another one may come next, with the steps until the first one leaves.
+
+        Not where a customer is still busy: the car that is there then is better taken by the AGV that is there too.
+        """
         found = {}
         for bay, n in self._claims.holder.items():
             agv = self.agvs[n]
             at_work = bay in self.garage.bays and agv.goal == bay and agv.action is not None and not agv.immobile
             if at_work and bay not in self._claims.next and bay not in self.outages.closed:
-                takes_one = agv.action is Action.LOWER and self._car_is_ready(bay)
-                found[bay] = self.executor.ready_step(n, self._step) + takes_one * self.rules.lift_bay
+                car = self.garage.waiting_at(bay) if agv.action is Action.LOWER else None
+                if car is None or car.ready_s <= self._now_s:
+                    found[bay] = self.executor.ready_step(n, self._step) + (car is not None) * self.rules.lift_bay
         return found
 
     def _plan_way_out(self, agv: Agv) -> None:
         """Let an AGV have a plan to where it goes after its work at a bay, so that others can plan to come after it."""
         agv.then = agv.job.destination if agv.job and agv.action is Action.LIFT else agv.home
         self.planning.goal_changed()
-
-    def _car_is_ready(self, bay: int) -> bool:
-        job = self.garage.bays[bay].inbound
-        return job is not None and job.agv < 0 and job.ready_s <= self._now_s
 
     @cached_property
     def _steps_to_bays(self) -> IntArray:
@@ -320,7 +320,8 @@ class Acs:
         for bay, comes in self._claims.next.items():
             here = self.executor.owner[bay]
             stands = here >= 0 and self.executor.agvs[here].standing and self.executor.agvs[here].last == bay
-            taken.setdefault(bay, here if stands and self._car_is_ready(bay) else comes)
+            car = self.garage.waiting_at(bay)
+            taken.setdefault(bay, here if stands and car and car.ready_s <= self._now_s else comes)
         return taken
 
     def _assign(self, job: Job, agv: Agv, origin: int) -> None:

@@ -208,6 +208,11 @@ class Garage:
         self.open.append(job)
         return job
 
+    def waiting_at(self, bay: int) -> Job | None:
+        """The car that stands at a bay and that no AGV has been sent for."""
+        job = self.bays[bay].inbound
+        return job if job and job.agv < 0 and job.at_bay_s == job.at_bay_s else None
+
     def board(self, now_s: float) -> list[Command]:
         """Let those customers drive off who have got into their cars."""
         gone = [j for j in self._boarding if j.delivered_s + j.handling_s <= now_s]
