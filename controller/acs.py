@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -19,11 +18,11 @@ from controller.executor import Executor
 from controller.faults import CLOSING, FaultReport, Outages
 from controller.fleet import FREE_MODES, Agv
 from controller.garage import Garage, Job
-from controller.places import choose_bays, choose_slot
+from controller.places import choose_slot
 from controller.planning import ControlOptions, Mask, Planning
 from controller.rules import Rules
 from controller.types import Action, AgvMode, AgvState, Command, Motion, Planner
-from sumo_nets.graph import Graph, IntArray
+from sumo_nets.graph import Graph
 
 #: How events leave the ACS: kind, AGV (-1 for none), car, vertex (-1 for none), details.
 Log = Callable[[str, int, str, int, dict[str, object]], None]
@@ -76,7 +75,7 @@ class Acs:
             setup.planner, setup.options, self.agvs, self.executor, setup.rules, self.costs, self.log
         )
         self.outages = Outages()
-        self._claims = Claims()
+        self._claims = Claims(setup.garage, self.agvs, self.executor, self.costs, setup.rules.lift_bay)
         self._attend: set[int] = set()
         self._low: set[int] = set()
         self._places: Mask = np.zeros(len(setup.graph.names), dtype=np.uint8)
@@ -198,61 +197,23 @@ class Acs:
         if self.garage.handover == "home":
             chosen = {n: self.agvs[n].home for n in waiting}
         else:
-            chosen = self._claim_bays(at, {n: job.lifted_s for n, job in waiting.items()})
+            chosen = self._claims.promise_bays(waiting, self._step, self.outages.closed, self.planning.rests)
         for n, job in waiting.items():
             agv = self.agvs[n]
             if n in chosen:
                 job.destination = chosen[n]
                 self._set_goal(agv, chosen[n])
-            elif at[n] != job.origin or self._steps_to_bays[agv.home] < self._steps_to_bays[at[n]]:
+                if self._claims.next.get(chosen[n]) == n:
+                    self._plan_way_out(self.agvs[self._claims.holder[chosen[n]]])
+            elif at[n] != job.origin or self._claims.nearer_to_bays(agv.home, at[n]):
                 self._set_goal(agv, agv.home)
             if agv.goal != job.origin and at[n] == job.origin:
                 self.garage.vacate(job.origin)
-
-    def _claim_bays(self, at: dict[int, int], since_s: dict[int, float]) -> dict[int, int]:
-        # an occupied outbound place frees when its customer has got in: count it as half a lift
-        wait = self.rules.lift_bay // 2
-        free = {
-            bay: wait if self.garage.bays[bay].outbound else 0
-            for bay in self.graph.bays
-            if bay not in self._claims.holder and bay not in self.outages.closed
-        }
-        leaving = self._leaving() if self.planning.rests and not free else {}
-        chosen = choose_bays(at, since_s, free, leaving, self.costs)
-        for n, bay in chosen.items():
-            if bay in free:
-                self._claims.holder[bay] = n
-            else:
-                self._claims.next[bay] = n
-                self._plan_way_out(self.agvs[self._claims.holder[bay]])
-        return chosen
-
-    def _leaving(self) -> dict[int, int]:
-        """Bays where an AGV is at work and another one may come next, with the steps until the first one leaves.
-
-        Not where a customer is still busy: the car that is there then is better taken by the AGV that is there too.
-        """
-        found = {}
-        for bay, n in self._claims.holder.items():
-            agv = self.agvs[n]
-            at_work = bay in self.garage.bays and agv.goal == bay and agv.action is not None and not agv.immobile
-            if at_work and bay not in self._claims.next and bay not in self.outages.closed:
-                car = self.garage.waiting_at(bay) if agv.action is Action.LOWER else None
-                if car is None or car.ready_s <= self._now_s:
-                    found[bay] = self.executor.ready_step(n, self._step) + (car is not None) * self.rules.lift_bay
-        return found
 
     def _plan_way_out(self, agv: Agv) -> None:
         """Let an AGV have a plan to where it goes after its work at a bay, so that others can plan to come after it."""
         agv.then = agv.job.destination if agv.job and agv.action is Action.LIFT else agv.home
         self.planning.goal_changed()
-
-    @cached_property
-    def _steps_to_bays(self) -> IntArray:
-        """Steps with a car from each vertex to the nearest bay, shape (n,)."""
-        tables = [self.costs.turning_to(bay, loaded=True) for bay in self.graph.bays]
-        nearest: IntArray = np.min(tables, axis=0)
-        return nearest
 
     def _lowered(self, agv: Agv, job: Job) -> None:
         self._commands += self.garage.lowered(job, self._now_s)
@@ -306,23 +267,9 @@ class Acs:
         if not at or count <= 0:
             return
         before = self.costs.expanded
-        for offer in self._setup.dispatch(self.garage.open, at, self._taken(), self.costs)[:count]:
+        for offer in self._setup.dispatch(self.garage.open, at, self._claims.only(self._step), self.costs)[:count]:
             self._assign(offer.job, self.agvs[offer.agv], offer.origin)
         self.planning.slot_choice += self.costs.expanded - before
-
-    def _taken(self) -> dict[int, int]:
-        """Places with the only AGV that may fetch a car there.
-
-        A bay that has just been released is for the one that comes next, but who has been at work there takes the car
-        that waits if it need not wait for its customer.
-        """
-        taken = dict(self._claims.holder)
-        for bay, comes in self._claims.next.items():
-            here = self.executor.owner[bay]
-            stands = here >= 0 and self.executor.agvs[here].standing and self.executor.agvs[here].last == bay
-            car = self.garage.waiting_at(bay)
-            taken.setdefault(bay, here if stands and car and car.ready_s <= self._now_s else comes)
-        return taken
 
     def _assign(self, job: Job, agv: Agv, origin: int) -> None:
         origin = agv.home if origin < 0 else origin

@@ -127,6 +127,39 @@ def test_the_car_on_a_broken_agv_is_saved(tmp_path, calm):
     assert tow < lower["time_s"] < home
 
 
+def coming_next(out: Path, events: list[dict[str, Any]]) -> list[tuple[float, int, int, str]]:
+    """When an AGV is at work at a bay and another one has a plan to it: the time, these two, and the bay."""
+    names = read_net("map1").graph.names
+    plans = duckdb.sql(f"select time_s, agv, path from '{out}/plans.parquet' order by time_s").fetchall()
+    ways: dict[int, list[str]] = {}
+    found = []
+    for time_s, agv, path in plans:
+        ways[agv] = [names[int(v)] for v in path.split()]
+        bay = ways[agv][-1]
+        if bay.startswith("bay") and len(ways[agv]) > 1:
+            there = [n for n, way in ways.items() if way[0] == bay]
+            for n in there:
+                work = (e for e in events if e["kind"] in ("lift", "lower") and e["agv"] == n and e["time_s"] > time_s)
+                if next(work, {}).get("vertex") == bay:
+                    found.append((time_s, n, agv, bay))
+    return found
+
+
+def test_when_an_agv_breaks_down_at_a_bay_the_one_that_comes_next_goes_elsewhere(tmp_path):
+    workload = {"kind": "poisson", "arrivals_share_per_h": 2.0, "dwell_median_min": 5, "duration_min": 10}
+    crowd = {"agvs": 8, "workload": {**workload, "initial_occupancy": 0.5}, "record": {"sample_s": 1.0}}
+    summary, events = run(tmp_path / "calm", {}, **crowd)
+    nothing_lost(summary)
+    time_s, at_work, comes, bay = coming_next(tmp_path / "calm", events)[0]
+    script = [{"at_s": time_s + 1, "kind": "breakdown", "for_s": 120.0, "agv": at_work}]
+    summary, events = run(tmp_path / "broken", {"script": script}, **crowd)
+    nothing_lost(summary)
+    brought = next(e for e in events if e["kind"] == "lower" and e["agv"] == comes and e["time_s"] > time_s)
+    tow = next(e["time_s"] for e in events if e["kind"] == "fault_start" and e["cause"] == "tow")
+    assert brought["vertex"] != bay
+    assert brought["time_s"] < tow
+
+
 def test_nobody_enters_what_is_blocked(tmp_path):
     """A place in the middle of a two-way aisle is blocked; whoever was on the way there stops before it."""
     script = [{"at_s": t, "kind": "blocked", "for_s": 60.0, "place": place}
