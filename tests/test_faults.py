@@ -145,19 +145,41 @@ def coming_next(out: Path, events: list[dict[str, Any]]) -> list[tuple[float, in
     return found
 
 
-def test_when_an_agv_breaks_down_at_a_bay_the_one_that_comes_next_goes_elsewhere(tmp_path):
-    workload = {"kind": "poisson", "arrivals_share_per_h": 2.0, "dwell_median_min": 5, "duration_min": 10}
-    crowd = {"agvs": 8, "workload": {**workload, "initial_occupancy": 0.5}, "record": {"sample_s": 1.0}}
-    summary, events = run(tmp_path / "calm", {}, **crowd)
-    nothing_lost(summary)
-    time_s, at_work, comes, bay = coming_next(tmp_path / "calm", events)[0]
+CROWD: dict[str, Any] = {
+    "agvs": 8,
+    "workload": {
+        "kind": "poisson", "arrivals_share_per_h": 2.0, "dwell_median_min": 5, "duration_min": 10,
+        "initial_occupancy": 0.5,
+    },
+    "record": {"sample_s": 1.0},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def moment(tmp_path_factory) -> tuple[float, int, int, str]:
+    """The first of ``coming_next`` in a crowded garage without faults."""
+    out = tmp_path_factory.mktemp("crowd") / "run"
+    return coming_next(out, run(out, {}, **CROWD)[1])[0]
+
+
+def test_when_an_agv_breaks_down_at_a_bay_the_one_that_comes_next_goes_elsewhere(tmp_path, moment):
+    time_s, at_work, comes, bay = moment
     script = [{"at_s": time_s + 1, "kind": "breakdown", "for_s": 120.0, "agv": at_work}]
-    summary, events = run(tmp_path / "broken", {"script": script}, **crowd)
+    summary, events = run(tmp_path / "run", {"script": script}, **CROWD)
     nothing_lost(summary)
     brought = next(e for e in events if e["kind"] == "lower" and e["agv"] == comes and e["time_s"] > time_s)
     tow = next(e["time_s"] for e in events if e["kind"] == "fault_start" and e["cause"] == "tow")
     assert brought["vertex"] != bay
     assert brought["time_s"] < tow
+
+
+def test_when_the_way_out_of_a_bay_is_blocked_the_one_that_comes_next_does_not_stand_in_it(tmp_path, moment):
+    time_s, _, _, bay = moment
+    assert bay == "bay2_3w", "c2_2 is on the way out of it, and not on the way there"
+    script = [{"at_s": time_s + 1, "kind": "blocked", "for_s": 90.0, "place": "c2_2"}]
+    summary, _ = run(tmp_path / "run", {"script": script}, **CROWD)
+    nothing_lost(summary)
+    assert summary.metrics["deadlocks_found"] == 0
 
 
 def test_nobody_enters_what_is_blocked(tmp_path):
@@ -177,6 +199,18 @@ def test_nobody_enters_what_is_blocked(tmp_path):
             and t.time_s between {begin["time_s"] + 1} and {end["time_s"]}"""
         ).fetchall()
         assert near == [(0,)]
+
+
+def test_a_car_whose_slot_is_closed_before_it_is_lifted_goes_to_another_one(tmp_path, calm):
+    task = next(e for e in calm if e["kind"] == "task_assigned" and e["destination"])
+    script = [{"at_s": task["time_s"] + 2, "kind": "blocked", "for_s": 600.0, "place": task["destination"]}]
+    summary, events = run(tmp_path / "run", {"script": script})
+    nothing_lost(summary)
+    lift, lower = (
+        next(e for e in events if e["kind"] == kind and e["car"] == task["car"]) for kind in ("lift", "lower")
+    )
+    assert task["time_s"] + 2 < lift["time_s"] < lower["time_s"] < task["time_s"] + 600
+    assert lower["vertex"] != task["destination"]
 
 
 def test_a_bay_out_of_order_gets_no_customers(tmp_path):
