@@ -9,7 +9,9 @@ from typing import Any
 
 import duckdb
 import pytest
+from whole_runs import coming_next
 
+from analysis.tables import load_run
 from parking_sim.config import check_scenario
 from parking_sim.errors import InputError
 from parking_sim.fault_config import DRAWN_FAULTS, FaultConfig
@@ -127,24 +129,6 @@ def test_the_car_on_a_broken_agv_is_saved(tmp_path, calm):
     assert tow < lower["time_s"] < home
 
 
-def coming_next(out: Path, events: list[dict[str, Any]]) -> list[tuple[float, int, int, str]]:
-    """When an AGV is at work at a bay and another one has a plan to it: the time, these two, and the bay."""
-    names = read_net("map1").graph.names
-    plans = duckdb.sql(f"select time_s, agv, path from '{out}/plans.parquet' order by time_s").fetchall()
-    ways: dict[int, list[str]] = {}
-    found = []
-    for time_s, agv, path in plans:
-        ways[agv] = [names[int(v)] for v in path.split()]
-        bay = ways[agv][-1]
-        if bay.startswith("bay") and len(ways[agv]) > 1:
-            there = [n for n, way in ways.items() if way[0] == bay]
-            for n in there:
-                work = (e for e in events if e["kind"] in ("lift", "lower") and e["agv"] == n and e["time_s"] > time_s)
-                if next(work, {}).get("vertex") == bay:
-                    found.append((time_s, n, agv, bay))
-    return found
-
-
 CROWD: dict[str, Any] = {
     "agvs": 8,
     "workload": {
@@ -159,7 +143,8 @@ CROWD: dict[str, Any] = {
 def moment(tmp_path_factory) -> tuple[float, int, int, str]:
     """The first of ``coming_next`` in a crowded garage without faults."""
     out = tmp_path_factory.mktemp("crowd") / "run"
-    return coming_next(out, run(out, {}, **CROWD)[1])[0]
+    run(out, {}, **CROWD)
+    return coming_next(load_run(out), read_net("map1").graph.names)[0]
 
 
 def test_when_an_agv_breaks_down_at_a_bay_the_one_that_comes_next_goes_elsewhere(tmp_path, moment):

@@ -6,6 +6,7 @@ import pytest
 from brute_force import bodies, garages
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from whole_runs import coming_next
 
 from analysis.tables import load_run
 from controller.costs import Costs
@@ -155,16 +156,5 @@ def test_with_complete_plans_the_next_agv_sets_out_while_the_one_at_the_bay_work
     keys = {"agvs": 8, "planner": planner, "workload": traffic, "duration_s": 1200.0, "record": {"sample_s": 1.0}}
     metrics = simulate(load_scenario("map1", keys), tmp_path / "run").metrics
     assert metrics["footprint_overlaps"] == metrics["sumo_collisions"] == metrics["deadlocks_unresolved"] == 0
-    record, names = load_run(tmp_path / "run"), read_net("map1").graph.names
-    works = record.events[record.events["kind"].isin(("lift", "lower"))].sort_values("time_s")
-    ways = {agv: [""] for agv in range(8)}
-    found = 0
-    for time_s, agv, _, path in record.plans.sort_values("time_s").itertuples(index=False):
-        ways[agv] = [names[int(v)] for v in path.split()]
-        bay = ways[agv][-1]
-        if bay.startswith("bay") and len(ways[agv]) > 1:
-            there = [n for n, way in ways.items() if way[0] == bay]
-            found += any(
-                works[(works["agv"] == n) & (works["time_s"] > time_s)]["vertex"].iloc[:1].eq(bay).any() for n in there
-            )
-    assert (found > 5) is sets_out
+    found = coming_next(load_run(tmp_path / "run"), read_net("map1").graph.names)
+    assert (len(found) > 5) is sets_out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,3 +51,18 @@ def check_all_done(record: Run, cars: int) -> None:
 def deadlocks(record: Run, kind: str) -> list[int]:
     """Numbers of the deadlocks that events of a kind tell of."""
     return [json.loads(detail)["deadlock"] for detail in record.events[record.events.kind == kind].detail]
+
+
+def coming_next(record: Run, names: Sequence[str]) -> list[tuple[float, int, int, str]]:
+    """When an AGV is at work at a bay while another one has a plan to it: the time, these two, and the bay."""
+    works = record.events[record.events.kind.isin(("lift", "lower"))].sort_values("time_s")
+    ways: dict[int, list[str]] = {}
+    found = []
+    for time_s, agv, path in record.plans.sort_values("time_s")[["time_s", "agv", "path"]].itertuples(index=False):
+        ways[agv] = [names[int(v)] for v in path.split()]
+        bay = ways[agv][-1]
+        if bay.startswith("bay") and len(ways[agv]) > 1:
+            for n in (n for n, way in ways.items() if way[0] == bay):
+                if works[(works.agv == n) & (works.time_s > time_s)].vertex.iloc[:1].eq(bay).any():
+                    found.append((time_s, n, agv, bay))
+    return found
