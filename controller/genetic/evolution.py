@@ -143,22 +143,37 @@ def diversity(population: Population) -> float:
 def _next_generation(
     species: Species, population: Population, f: Floats, options: Options, rng: Generator
 ) -> Population:
-    size, elite = len(f), options.elite
-    parents = roulette(f, 2 * (size - elite), rng).reshape(-1, 2)
-    parents[:, 1] = np.where(rng.random(len(parents)) < options.crossover, parents[:, 1], parents[:, 0])
-    best = np.argsort(f, kind="stable")[:elite]
-    pairs = np.concatenate((np.stack((best, best), axis=1), parents))
-    children = Population(*(_cross(genes, pairs, rng) for genes in population))
-    mutants = np.flatnonzero(rng.random(size) < options.mutation)
-    species.mutate(children, mutants[mutants >= elite], rng)
+    order, stops, mutants = _breed(*population, f, options.elite, options.crossover, options.mutation, rng)
+    children = Population(order, stops)
+    species.mutate(children, mutants, rng)
     return children
 
 
+@njit(cache=True)
+def _breed(
+    order: Genes, stops: Genes, f: Floats, elite: int, crossover: float, mutation: float, rng: Generator
+) -> tuple[Genes, Genes, NDArray[np.intp]]:
+    """Both parts of the children, the elite first, and which of the others mutate."""
+    size = len(f)
+    pairs = np.empty((size, 2), dtype=np.intp)
+    best = np.argsort(f, kind="mergesort")[:elite]
+    pairs[:elite, 0] = pairs[:elite, 1] = best
+    pairs[elite:] = roulette(f, 2 * (size - elite), rng).reshape(-1, 2)
+    alone = np.flatnonzero(rng.random(size - elite) >= crossover) + elite
+    pairs[alone, 1] = pairs[alone, 0]
+    orders = _cross(order, pairs, rng)
+    stops = _cross(stops, pairs, rng)
+    mutants = np.flatnonzero(rng.random(size) < mutation)
+    return orders, stops, mutants[mutants >= elite]
+
+
+@njit(cache=True)
 def roulette(f: Floats, k: int, rng: Generator) -> NDArray[np.intp]:
     """Draw k chromosomes with weight f_max - f; all alike if all are equal."""
     weight = f.max() - f
     wheel = np.cumsum(weight if weight.any() else np.ones_like(f))
-    return np.asarray(np.searchsorted(wheel, rng.random(k) * wheel[-1], side="right"))
+    drawn: NDArray[np.intp] = np.searchsorted(wheel, rng.random(k) * wheel[-1], side="right")
+    return drawn
 
 
 @njit(cache=True)
