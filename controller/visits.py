@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from controller.kernel import kernel
 from controller.types import FOREVER, NEVER, Motion, Path
 from sumo_nets.graph import Graph, IntArray
 
@@ -143,7 +144,7 @@ def _floor(graph: Graph, motion: Motion) -> _Floor:
     return _Floor(*(np.ascontiguousarray(array, dtype=np.int32) for array in arrays))
 
 
-@njit(cache=True)
+@kernel
 def _edge(u: int, v: int, floor: _Floor) -> int:
     """The edge from one vertex to the next, -1 if there is none."""
     for e in range(floor.first_out[u], floor.first_out[u + 1]):
@@ -152,7 +153,7 @@ def _edge(u: int, v: int, floor: _Floor) -> int:
     return -1
 
 
-@njit(cache=True)
+@kernel
 def _undrivable(vertices: Longs, first: Longs, in_edges: Longs, floor: _Floor) -> int:
     """Number of the first vertex that has no lane from the one before, or needs a turn that no AGV makes; -1: none."""
     for p in range(len(in_edges)):

@@ -23,6 +23,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from controller.genetic.evolution import Floats, Genes, Options, Outcome, Population, Stage, evolve, step_stop
+from controller.kernel import kernel
 
 UP, DOWN, RIGHT, LEFT = 1, 2, 3, 4
 
@@ -189,7 +190,7 @@ def _cost(order: Genes, stops: Genes, lengths: Ints, scratch: _Scratch) -> Ints:
     return found
 
 
-@njit(cache=True)
+@kernel
 def _drive(at: int, order: Genes, stops: Genes, length: int, scratch: _Scratch) -> int:
     """Let a robot drive among those that have driven before; how many of them it meets, step by step."""
     here, moves, now = scratch.here, scratch.moves, scratch.clock[0]
@@ -211,7 +212,7 @@ def _drive(at: int, order: Genes, stops: Genes, length: int, scratch: _Scratch) 
     return met
 
 
-@njit(cache=True)
+@kernel
 def _note(table: NDArray[np.int32], spot: tuple[int, int], now: int) -> int:
     """Count one more robot of this chromosome at (step, place); how many there were before."""
     t, place = spot

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from controller.kernel import kernel
 from controller.planners.one_step import OneStep, best_edge, estimate, ranked_edges
 from controller.search.heap import Counts, Heap, clear, make_heap, put, take
 from controller.search.space import EXPANDED, VALID, Lanes, Space
@@ -46,7 +46,7 @@ class AStar:
         return int(best_edge(agent.vertex, agent.in_edge, agent.goal, self._g, closed, steps, self._ranked, lanes))
 
 
-@njit(cache=True)
+@kernel
 def _search(
     start: int,
     goal: int,
@@ -81,7 +81,7 @@ def _search(
                 put(u, _key(cost + estimate(start, u, lanes.xy, rate), cost), OPEN, counters)
 
 
-@njit(cache=True)
+@kernel
 def _key(f: int, g: int) -> int:
     return (f << 32) | g
 

@@ -14,9 +14,9 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from controller.kernel import kernel
 from controller.planners.one_step import OneStep, best_edge, estimate, ranked_edges
 from controller.search.heap import Counts, Heap, clear, make_heap, put, take
 from controller.search.space import EXPANDED, VALID, Lanes, Space
@@ -95,7 +95,7 @@ def _new_memory(n: int) -> Memory:
     return Memory(g, rhs, np.zeros(n, dtype=np.uint8), make_heap(n), np.array([-1, 0, -1, 0], dtype=np.int64))
 
 
-@njit(cache=True)
+@kernel
 def _initialize(
     s_start: int,
     goal: int,
@@ -109,7 +109,8 @@ def _initialize(
     g, rhs, closed, U, meta = memory
     g[:] = FOREVER
     rhs[:] = FOREVER
-    closed[:] = blocked
+    for v in range(len(blocked)):
+        closed[v] = blocked[v]
     closed[goal] = 0
     clear(U)
     meta[GOAL], meta[LOADED], meta[LAST], meta[KM] = goal, loaded, s_start, 0
@@ -117,14 +118,14 @@ def _initialize(
     put(goal, _calculate_key(goal, s_start, rate, lanes, memory), U, counters)
 
 
-@njit(cache=True)
+@kernel
 def _calculate_key(s: int, s_start: int, rate: float, lanes: Lanes, memory: Memory) -> int:
     """``[min(g, rhs) + h + k_m; min(g, rhs)]`` in one integer."""
     least = np.int64(min(memory.g[s], memory.rhs[s]))
     return int(((least + estimate(s_start, s, lanes.xy, rate) + memory.meta[KM]) << 32) | least)
 
 
-@njit(cache=True)
+@kernel
 def _update_vertex(u: int, s_start: int, rate: float, lanes: Lanes, memory: Memory, counters: Counts) -> None:
     if memory.g[u] != memory.rhs[u]:
         put(u, _calculate_key(u, s_start, rate, lanes, memory), memory.U, counters)
@@ -132,13 +133,13 @@ def _update_vertex(u: int, s_start: int, rate: float, lanes: Lanes, memory: Memo
         take(u, memory.U, counters)
 
 
-@njit(cache=True)
+@kernel
 def _through(e: int, g: int, steps: IntArray, closed: int) -> int:
     """``c + g`` over an edge whose head has that g and is closed or not."""
     return FOREVER if closed or g >= FOREVER else int(steps[e] + g)
 
 
-@njit(cache=True)
+@kernel
 def _one_step_ahead(s: int, steps: IntArray, lanes: Lanes, memory: Memory) -> int:
     """The least ``c(s, s') + g(s')`` over all successors."""
     least = FOREVER
@@ -147,7 +148,7 @@ def _one_step_ahead(s: int, steps: IntArray, lanes: Lanes, memory: Memory) -> in
     return least
 
 
-@njit(cache=True)
+@kernel
 def _compute_shortest_path(
     s_start: int, steps: IntArray, rate: float, lanes: Lanes, memory: Memory, counters: Counts
 ) -> None:
@@ -181,7 +182,7 @@ def _compute_shortest_path(
             _update_vertex(s, s_start, rate, lanes, memory, counters)
 
 
-@njit(cache=True)
+@kernel
 def _change(
     s_start: int,
     wanted: NDArray[np.uint8],

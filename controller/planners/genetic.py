@@ -38,6 +38,7 @@ from controller.genetic.evolution import (
     step_stop,
     two_stage,
 )
+from controller.kernel import kernel
 from controller.planners.whca import make_whca
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
@@ -354,7 +355,7 @@ def _cost(order: Genes, stops: Genes, routes: _Routes, visits: _Visits) -> NDArr
     return found
 
 
-@njit(cache=True)
+@kernel
 def _met(rows: IntArray, row: int, window: int, following: int) -> int:
     """How many earlier visits of its vertex a visit overlaps, or swaps with."""
     start, end, agent = rows[row, START], rows[row, END], rows[row, AGENT]

@@ -28,7 +28,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.planners.pibt import NOBODY, Moves, closes_ring, dead_ends, obstacles, one_move
+from controller.kernel import kernel
+from controller.planners.pibt import NOBODY, Moves, closes_ring, dead_ends, no_moves, obstacles, one_move
 from controller.search.space import Lanes, Space
 from controller.types import FOREVER, NEVER, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
 from sumo_nets.graph import Graph, IntArray
@@ -150,12 +151,7 @@ class _Search:
         self._places_known: dict[tuple[int, int], list[int]] = {}
         self._goals, self.elsewhere, self.distance = self._aims()
         starts = np.array([agent.vertex for agent in self.agents], dtype=np.int32)
-        n, a = len(outward), len(self.agents)
-        degree = int(np.diff(self.lanes.first_out).max(initial=0))
-        self._moves = Moves(
-            starts, np.empty(a, dtype=np.int32), np.full(n, NOBODY, dtype=np.int32), np.full(n, NOBODY, dtype=np.int32),
-            np.empty((a, degree + 1), dtype=np.int32), self._goals, outward,
-        )  # fmt: skip
+        self._moves = no_moves(starts, self._goals, outward, self.lanes)
         self.start = self._node(starts.copy(), None)
         self._nearest = self.start
 
@@ -286,7 +282,7 @@ def _fill_distances(goal: int, closed: NDArray[np.uint8], lanes: Lanes, distance
                 size += 1
 
 
-@njit(cache=True)
+@kernel
 def _moves_paid(Q_from: IntArray, Q_to: IntArray, distance: IntArray) -> int:
     """A unit for everybody who is not at the goal before and after."""
     paid = 0
@@ -295,7 +291,7 @@ def _moves_paid(Q_from: IntArray, Q_to: IntArray, distance: IntArray) -> int:
     return paid
 
 
-@njit(cache=True)
+@kernel
 def _settle(
     Q: IntArray, order: IntArray, told: IntArray, moves: Moves, distance: IntArray, closed: NDArray[np.uint8],
     lanes: Lanes, salt: int,
@@ -315,14 +311,14 @@ def _settle(
     return possible
 
 
-@njit(cache=True)
+@kernel
 def _begin(Q: IntArray, moves: Moves, distance: IntArray, closed: NDArray[np.uint8], lanes: Lanes, salt: int) -> None:
     """Nobody's move is settled; everybody's places are ranked by distance, of equal ones the empty ones first."""
-    moves.now[:] = Q
     moves.next[:] = NOBODY
     for i in range(len(Q)):
+        moves.now[i] = Q[i]
         moves.occupant[Q[i]] = i
-    keys = np.empty(moves.ranked.shape[1], dtype=np.int64)
+    keys = moves.keys
     for i in range(len(Q)):
         v = Q[i]
         row = moves.ranked[i]
@@ -343,14 +339,17 @@ def _begin(Q: IntArray, moves: Moves, distance: IntArray, closed: NDArray[np.uin
             size += 1
 
 
-@njit(cache=True)
+@kernel
 def _complete(order: IntArray, moves: Moves) -> bool:
     """Have PIBT settle the moves that are open; False if two would end at one vertex."""
     one_move(order, moves)
-    return bool((moves.taker[moves.next] == np.arange(len(order))).all())
+    possible = True
+    for i in range(len(order)):
+        possible &= moves.taker[moves.next[i]] == i
+    return possible
 
 
-@njit(cache=True)
+@kernel
 def _end(moves: Moves) -> None:
     """Clear the vertices, at a cost proportional to the agents."""
     for i in range(len(moves.now)):

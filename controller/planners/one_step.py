@@ -18,9 +18,9 @@ from collections.abc import Iterable
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from controller.kernel import kernel
 from controller.search.heap import Counts
 from controller.search.space import Lanes, Space
 from controller.types import FOREVER, NEVER, Counters, Path, PlanAgent, PlanningProblem, PlanResult, Status
@@ -121,13 +121,13 @@ def ranked_edges(space: Space) -> IntArray:
     return np.array(order, dtype=np.int32)
 
 
-@njit(cache=True)
+@kernel
 def estimate(u: int, v: int, xy: FloatArray, rate: float) -> int:
     """Least steps between two vertices by Manhattan distance, at so many steps per metre (consistent)."""
     return int(np.ceil(rate * (abs(xy[u, 0] - xy[v, 0]) + abs(xy[u, 1] - xy[v, 1])) - 1e-6))
 
 
-@njit(cache=True)
+@kernel
 def best_edge(
     start: int, in_edge: int, goal: int, g: IntArray, closed: NDArray[np.uint8], steps: IntArray, ranked: IntArray,
     lanes: Lanes,

@@ -21,9 +21,9 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from controller.kernel import kernel
 from controller.search.distances import Distances, Field, settle
 from controller.search.space import Lanes, Space
 from controller.types import FOREVER, NEVER, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
@@ -42,6 +42,8 @@ class Moves(NamedTuple):
         ranked: vertices each agent may go to, the best first, -1 behind the last, shape (a, d).
         goals: shape (a,).
         outward: next vertex on the way out of a dead end, -1 outside of dead ends, shape (n,).
+        chain, tried: room for those who inherit a priority, and for how many places each has tried, shape (a,).
+        keys: room for the keys of one agent's ranking, shape (d,).
     """
 
     now: IntArray
@@ -51,6 +53,9 @@ class Moves(NamedTuple):
     ranked: IntArray
     goals: IntArray
     outward: IntArray
+    chain: IntArray
+    tried: IntArray
+    keys: NDArray[np.int64]
 
 
 class Pibt:
@@ -128,22 +133,25 @@ def obstacles(problem: PlanningProblem) -> tuple[NDArray[np.uint8], dict[int, in
     return closed, free_at
 
 
+def no_moves(now: IntArray, goals: IntArray, outward: IntArray, lanes: Lanes) -> Moves:
+    """Room for a move of agents at ``now``; nothing is ranked or settled, and the vertices say nobody is there."""
+    a, n = len(now), len(outward)
+    degree = int(np.diff(lanes.first_out).max(initial=0))
+    next_, occupant, taker = (np.full(size, NOBODY, dtype=np.int32) for size in (a, n, n))
+    ranked = np.full((a, degree + 1), NOBODY, dtype=np.int32)
+    chain, tried = (np.zeros(a, dtype=np.int32) for _ in range(2))
+    return Moves(
+        now, next_, occupant, taker, ranked, goals, outward, chain, tried, np.zeros(degree + 1, dtype=np.int64)
+    )
+
+
 def start_moves(agents: Sequence[PlanAgent], outward: IntArray, distances: Distances) -> Moves:
     """No move settled yet; agents in order of priority."""
-    n = len(outward)
     now = np.array([agent.vertex for agent in agents], dtype=np.int32)
-    occupant = np.full(n, NOBODY, dtype=np.int32)
-    occupant[now] = np.arange(len(agents))
-    degree = int(np.diff(distances.space.lanes.first_out).max(initial=0))
-    return Moves(
-        now=now,
-        next=np.full(len(agents), NOBODY, dtype=np.int32),
-        occupant=occupant,
-        taker=np.full(n, NOBODY, dtype=np.int32),
-        ranked=np.full((len(agents), degree + 1), NOBODY, dtype=np.int32),
-        goals=np.array([agent.goal for agent in agents], dtype=np.int32),
-        outward=outward,
-    )
+    goals = np.array([agent.goal for agent in agents], dtype=np.int32)
+    moves = no_moves(now, goals, outward, distances.space.lanes)
+    moves.occupant[now] = np.arange(len(agents))
+    return moves
 
 
 def stand(i: int, moves: Moves) -> None:
@@ -159,18 +167,17 @@ def rank_all(agents: Sequence[PlanAgent], moves: Moves, distances: Distances, cl
         if moves.next[i] == NOBODY:
             field = d.field(agent.goal, agent.loaded, agent.vertex)
             _rank(
-                moves.ranked[i], agent.vertex, agent.in_edge, agent.goal, int(agent.loaded), closed, field,
-                d.space.lanes, d.blocked, moves.occupant, d.counters,
+                i, agent.in_edge, int(agent.loaded), moves, closed, field, d.space.lanes, d.blocked, d.counters
             )  # fmt: skip
 
 
-@njit(cache=True)
+@kernel
 def _rank(
-    row: IntArray, v: int, in_edge: int, goal: int, loaded: int, closed: NDArray[np.uint8], field: Field, lanes: Lanes,
-    blocked: NDArray[np.uint8], occupant: IntArray, counters: NDArray[np.int64],
+    i: int, in_edge: int, loaded: int, moves: Moves, closed: NDArray[np.uint8], field: Field, lanes: Lanes,
+    blocked: NDArray[np.uint8], counters: NDArray[np.int64],
 ) -> None:  # fmt: skip
-    """Fill ``row`` with the neighbours by cost, of equal ones the empty ones first; to stay comes behind the best."""
-    keys = np.empty(len(row), dtype=np.int64)
+    """Rank an agent's neighbours by cost, of equal ones the empty ones first; to stay comes behind the best."""
+    v, goal, row, keys, occupant = moves.now[i], moves.goals[i], moves.ranked[i], moves.keys, moves.occupant
     size = 0
     here = 0 if v == goal else FOREVER
     for e in range(lanes.first_out[v], lanes.first_out[v + 1]):
@@ -201,7 +208,7 @@ def _rank(
     row[k] = v
 
 
-@njit(cache=True)
+@kernel
 def one_move(order: IntArray, moves: Moves) -> None:
     """Settle the moves that are still open, in this order."""
     for i in order:
@@ -209,16 +216,15 @@ def one_move(order: IntArray, moves: Moves) -> None:
             _settle(i, moves)
 
 
-@njit(cache=True)
+@kernel
 def _settle(root: int, moves: Moves) -> None:
     """The algorithm's PIBT(a_i), with the chain of those who inherit a priority instead of recursion."""
-    now, next_, occupant, taker = moves.now, moves.next, moves.occupant, moves.taker
-    chain = np.empty(len(now), dtype=np.int32)
-    tried = np.zeros(len(now), dtype=np.int32)
+    now, next_, occupant, taker, chain = moves.now, moves.next, moves.occupant, moves.taker, moves.chain
+    moves.tried[:] = 0
     chain[0], size = root, 1
     while size > 0:
         i = chain[size - 1]
-        v = _next_place(i, tried, moves)
+        v = _next_place(i, moves)
         if v != NOBODY:
             next_[i] = v
             taker[v] = i
@@ -236,9 +242,10 @@ def _settle(root: int, moves: Moves) -> None:
                 _reserve_beyond(chain[size - 1], now[i], NOBODY, moves)
 
 
-@njit(cache=True)
-def _next_place(i: int, tried: IntArray, moves: Moves) -> int:
+@kernel
+def _next_place(i: int, moves: Moves) -> int:
     """The best place not tried yet that is left; ``NOBODY`` if there is none."""
+    tried = moves.tried
     while tried[i] < moves.ranked.shape[1]:
         v = moves.ranked[i, tried[i]]
         tried[i] += 1
@@ -249,7 +256,7 @@ def _next_place(i: int, tried: IntArray, moves: Moves) -> int:
     return NOBODY
 
 
-@njit(cache=True)
+@kernel
 def _enters_dead_end(i: int, v: int, moves: Moves) -> bool:
     """Whether ``v`` is the neck of the dead end of the own goal, or further in, and the agent comes from outside."""
     w = moves.goals[i]
@@ -260,7 +267,7 @@ def _enters_dead_end(i: int, v: int, moves: Moves) -> bool:
     return bool(v != moves.now[i])
 
 
-@njit(cache=True)
+@kernel
 def _may_enter(i: int, v: int, moves: Moves) -> bool:
     """Not into the dead end of the own goal, or its neck, while somebody is in it further on."""
     if _enters_dead_end(i, v, moves):
@@ -272,7 +279,7 @@ def _may_enter(i: int, v: int, moves: Moves) -> bool:
     return True
 
 
-@njit(cache=True)
+@kernel
 def _reserve_beyond(i: int, v: int, taker: int, moves: Moves) -> None:
     """Reserve the dead end of the goal beyond ``v`` with it; or, for nobody, give it back."""
     if _enters_dead_end(i, v, moves):
@@ -282,7 +289,7 @@ def _reserve_beyond(i: int, v: int, taker: int, moves: Moves) -> None:
             w = moves.outward[w]
 
 
-@njit(cache=True)
+@kernel
 def closes_ring(i: int, v: int, moves: Moves) -> bool:
     """Whether those who move on from ``v`` come round to where ``i`` stands; two are a swap."""
     j = moves.occupant[v]

@@ -17,9 +17,9 @@ from collections import OrderedDict
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from controller.kernel import kernel
 from controller.search.landmarks import Bounds, Landmarks
 from controller.search.landmarks import at_least as landmarks_say
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes, Space
@@ -164,7 +164,7 @@ def _whole(goal: int, loaded: bool, ends: NDArray[np.uint8], lanes: Lanes, count
     return field
 
 
-@njit(cache=True)
+@kernel
 def distance_from(
     vertex: int, in_edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]
 ) -> int:
@@ -189,7 +189,7 @@ def distance_from(
         _close_next(field, lanes, blocked, counters)
 
 
-@njit(cache=True)
+@kernel
 def start_at_least(
     vertex: int, in_edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]
 ) -> int:
@@ -199,7 +199,7 @@ def start_at_least(
     return distance_from(vertex, in_edge, field, lanes, blocked, counters)
 
 
-@njit(cache=True)
+@kernel
 def _best_way_out(vertex: int, in_edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8]) -> tuple[int, int]:
     """Remaining steps over the best closed edge, and the least turn towards one not closed, ``NEVER`` if all are."""
     states, loaded = field.states, field.meta[LOADED]
@@ -216,7 +216,7 @@ def _best_way_out(vertex: int, in_edge: int, field: Field, lanes: Lanes, blocked
     return best, open_turn
 
 
-@njit(cache=True)
+@kernel
 def settle(edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]) -> int:
     """Resume the search until ``edge`` is closed; its remaining steps, ``FOREVER`` if OPEN runs empty before."""
     while field.states[edge, PLACE] != -1:
@@ -228,7 +228,7 @@ def settle(edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], co
     return int(field.states[edge, G]) - 1
 
 
-@njit(cache=True)
+@kernel
 def _close_next(field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]) -> None:
     """Close the first edge of OPEN, and open those from which it can be reached."""
     states, meta = field.states, field.meta
@@ -251,20 +251,20 @@ def _close_next(field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters
             _push(e, g, _estimate(e, field, lanes), states, meta, counters)
 
 
-@njit(cache=True)
+@kernel
 def _close_all(field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64]) -> None:
     _begin(field, lanes, counters)
     while field.meta[SIZE] > 0:
         _close_next(field, lanes, blocked, counters)
 
 
-@njit(cache=True)
+@kernel
 def closed(edge: int, field: Field) -> bool:
     """The exact distance of an edge is known already."""
     return bool(field.states[edge, PLACE] == -1)
 
 
-@njit(cache=True)
+@kernel
 def at_least(edge: int, goal: int, field: Field, bounds: Bounds, lanes: Lanes) -> int:
     """A bound below the remaining steps from an edge to the goal, without any search; exact where it is closed."""
     if closed(edge, field):
@@ -276,12 +276,12 @@ def at_least(edge: int, goal: int, field: Field, bounds: Bounds, lanes: Lanes) -
     return int(max(by_air, landmarks_say(edge, bounds)))
 
 
-@njit(cache=True)
+@kernel
 def _may_enter(v: int, field: Field, blocked: NDArray[np.uint8]) -> bool:
     return not blocked[v] or v == field.meta[GOAL]
 
 
-@njit(cache=True)
+@kernel
 def _differs(changed: IntArray, field: Field, lanes: Lanes, blocked: NDArray[np.uint8]) -> bool:
     """Whether what the search has found so far depends on any of the vertices that changed to or from blocked.
 
@@ -306,7 +306,7 @@ def _differs(changed: IntArray, field: Field, lanes: Lanes, blocked: NDArray[np.
     return False
 
 
-@njit(cache=True)
+@kernel
 def _read_way(field: Field, lanes: Lanes, blocked: NDArray[np.uint8]) -> bool:
     """Close the edges of a quickest way from the landmark without a search; False if something on it is blocked."""
     states, meta, ahead = field.states, field.meta, field.ahead
@@ -330,7 +330,7 @@ def _read_way(field: Field, lanes: Lanes, blocked: NDArray[np.uint8]) -> bool:
     return True
 
 
-@njit(cache=True)
+@kernel
 def _edge_before(edge: int, loaded: int, ahead: IntArray, lanes: Lanes) -> int:
     """The edge before another one on a quickest way, -1 if that is the first."""
     v = lanes.tail[edge]
@@ -344,7 +344,7 @@ def _edge_before(edge: int, loaded: int, ahead: IntArray, lanes: Lanes) -> int:
     return -1
 
 
-@njit(cache=True)
+@kernel
 def _search_instead(field: Field, lanes: Lanes, counters: NDArray[np.int64]) -> None:
     """Forget what has been read, and begin the search."""
     field.states[:] = 0
@@ -352,7 +352,7 @@ def _search_instead(field: Field, lanes: Lanes, counters: NDArray[np.int64]) -> 
     _begin(field, lanes, counters)
 
 
-@njit(cache=True)
+@kernel
 def _begin(field: Field, lanes: Lanes, counters: NDArray[np.int64]) -> None:
     goal = field.meta[GOAL]
     for i in range(lanes.first_in[goal], lanes.first_in[goal + 1]):
@@ -360,7 +360,7 @@ def _begin(field: Field, lanes: Lanes, counters: NDArray[np.int64]) -> None:
         _push(e, 1, _estimate(e, field, lanes), field.states, field.meta, counters)
 
 
-@njit(cache=True)
+@kernel
 def _estimate(edge: int, field: Field, lanes: Lanes) -> int:
     """At least so many steps from the vertex the search is aimed at until the edge has been driven."""
     if len(field.ahead) > 0:
@@ -371,7 +371,7 @@ def _estimate(edge: int, field: Field, lanes: Lanes) -> int:
     return int(max(aim[2] * (dx + dy), aim[3] * np.sqrt(dx * dx + dy * dy)))
 
 
-@njit(cache=True)
+@kernel
 def _before(a: int, b: int, states: IntArray) -> bool:
     """Order of OPEN: smaller f, then larger g, then the smaller edge number."""
     if states[a, F] != states[b, F]:
@@ -381,7 +381,7 @@ def _before(a: int, b: int, states: IntArray) -> bool:
     return a < b
 
 
-@njit(cache=True)
+@kernel
 def _push(e: int, g: int, h: int, states: IntArray, meta: IntArray, counters: NDArray[np.int64]) -> None:
     """Put an edge on OPEN, or move it up if it is there already."""
     states[e, G] = g
@@ -405,7 +405,7 @@ def _push(e: int, g: int, h: int, states: IntArray, meta: IntArray, counters: ND
     states[e, PLACE] = i + 1
 
 
-@njit(cache=True)
+@kernel
 def _pop(states: IntArray, meta: IntArray, counters: NDArray[np.int64]) -> int:
     """Take the first edge from OPEN and close it."""
     first = states[0, OPEN]

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from controller.search.reservations import ReservationTable, fill
+from controller.kernel import kernel
+from controller.search.reservations import ReservationTable, drop, fill
 from controller.types import FOREVER, Path
 from sumo_nets.graph import IntArray
 
@@ -74,7 +74,7 @@ def unload(table: ReservationTable, group: Group, chosen: IntArray, agvs: IntArr
     _unload(table.rows, table.count, group.visits, group.lengths, chosen, agvs)
 
 
-@njit(cache=True)
+@kernel
 def _meetings(i: int, visits: IntArray, lengths: IntArray, meets: IntArray, following: bool, window: int) -> None:
     """First step below the window at which agent ``i`` and each other one own one vertex, or swap."""
     for j in range(visits.shape[0]):
@@ -94,7 +94,7 @@ def _meetings(i: int, visits: IntArray, lengths: IntArray, meets: IntArray, foll
         meets[j, i] = first
 
 
-@njit(cache=True)
+@kernel
 def _load(
     rows: IntArray, table_count: IntArray, visits: IntArray, lengths: IntArray, chosen: IntArray, agvs: IntArray
 ) -> bool:
@@ -108,17 +108,10 @@ def _load(
     return True
 
 
-@njit(cache=True)
+@kernel
 def _unload(
     rows: IntArray, table_count: IntArray, visits: IntArray, lengths: IntArray, chosen: IntArray, agvs: IntArray
 ) -> None:
     for i in chosen:
         for k in range(lengths[i]):
-            v = visits[i, k, VERTEX]
-            kept = 0
-            for c in range(table_count[v]):
-                if rows[v, c, 2] != agvs[i]:
-                    if kept < c:
-                        rows[v, kept] = rows[v, c]
-                    kept += 1
-            table_count[v] = kept
+            drop(rows, table_count, visits[i, k, VERTEX], agvs[i])

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from controller.kernel import kernel
 from controller.search.space import GENERATED, HEAP_MOVES
 from sumo_nets.graph import IntArray
 
@@ -44,7 +44,7 @@ def make_heap(n: int) -> Heap:
     )
 
 
-@njit(cache=True)
+@kernel
 def clear(heap: Heap) -> None:
     """Take everything out, without counting it."""
     for i in range(heap.size[0]):
@@ -52,7 +52,7 @@ def clear(heap: Heap) -> None:
     heap.size[0] = 0
 
 
-@njit(cache=True)
+@kernel
 def put(v: int, key: int, heap: Heap, counters: Counts) -> None:
     """Put a vertex in, or change its key."""
     i = heap.place[v]
@@ -67,7 +67,7 @@ def put(v: int, key: int, heap: Heap, counters: Counts) -> None:
     _sift(i, heap, counters)
 
 
-@njit(cache=True)
+@kernel
 def take(v: int, heap: Heap, counters: Counts) -> None:
     """Take a vertex out that is inside."""
     i = heap.place[v]
@@ -81,7 +81,7 @@ def take(v: int, heap: Heap, counters: Counts) -> None:
         _sift(i, heap, counters)
 
 
-@njit(cache=True)
+@kernel
 def _sift(i: int, heap: Heap, counters: Counts) -> None:
     """Move the vertex at place ``i`` up or down to where it belongs."""
     while i > 0 and heap.key[heap.items[i]] < heap.key[heap.items[(i - 1) >> 1]]:
@@ -97,7 +97,7 @@ def _sift(i: int, heap: Heap, counters: Counts) -> None:
         i = down
 
 
-@njit(cache=True)
+@kernel
 def _swap(i: int, j: int, heap: Heap, counters: Counts) -> None:
     heap.items[i], heap.items[j] = heap.items[j], heap.items[i]
     heap.place[heap.items[i]] = i

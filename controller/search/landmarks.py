@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from controller.kernel import kernel
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes, Space
 from controller.types import FOREVER, NEVER
 from sumo_nets.graph import IntArray
@@ -72,7 +73,7 @@ class Landmarks:
         return Bounds(tables, tables[:, into].min(axis=1, initial=FOREVER))
 
 
-@njit(cache=True)
+@kernel
 def at_least(edge: int, bounds: Bounds) -> int:
     """A bound below the steps from the head of an edge to the goal; 0 at least."""
     most = 0

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numba import njit
 
+from controller.kernel import kernel
 from controller.types import Path
 from sumo_nets.graph import IntArray
 
@@ -86,7 +86,7 @@ class ReservationTable:
         self.rows = np.concatenate((self.rows, np.zeros_like(self.rows)), axis=1)
 
 
-@njit(cache=True)
+@kernel
 def fill(rows: IntArray, count: IntArray, v: int, start: int, end: int, agv: int, after: int) -> bool:
     """Add the parts of ``[start, end)`` that are still free; False if the row may not have room for them."""
     k = 0
@@ -99,7 +99,7 @@ def fill(rows: IntArray, count: IntArray, v: int, start: int, end: int, agv: int
             if c == rows.shape[1]:
                 return False
             for i in range(c, k, -1):
-                rows[v, i] = rows[v, i - 1]
+                _copy(rows, v, i - 1, i)
             rows[v, k, START] = start
             rows[v, k, END] = stop
             rows[v, k, AGENT] = agv
@@ -112,7 +112,7 @@ def fill(rows: IntArray, count: IntArray, v: int, start: int, end: int, agv: int
     return True
 
 
-@njit(cache=True)
+@kernel
 def _add_path(
     rows: IntArray, count: IntArray, vertices: IntArray, times: IntArray, agv: int, following: bool, done: int
 ) -> int:
@@ -126,13 +126,26 @@ def _add_path(
     return last + 1
 
 
-@njit(cache=True)
+@kernel
 def _remove(rows: IntArray, count: IntArray, vertices: IntArray, agv: int) -> None:
     for v in vertices:
-        kept = 0
-        for k in range(count[v]):
-            if rows[v, k, AGENT] != agv:
-                if kept < k:
-                    rows[v, kept] = rows[v, k]
-                kept += 1
-        count[v] = kept
+        drop(rows, count, v, agv)
+
+
+@kernel
+def drop(rows: IntArray, count: IntArray, v: int, agv: int) -> None:
+    """Take all intervals of an agent from a vertex."""
+    kept = 0
+    for k in range(count[v]):
+        if rows[v, k, AGENT] != agv:
+            if kept < k:
+                _copy(rows, v, k, kept)
+            kept += 1
+    count[v] = kept
+
+
+@kernel
+def _copy(rows: IntArray, v: int, source: int, target: int) -> None:
+    """Copy an interval over another one; to assign a whole row would make an array."""
+    for column in range(rows.shape[2]):
+        rows[v, target, column] = rows[v, source, column]

@@ -31,6 +31,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from controller.kernel import kernel
 from controller.search.distances import Distances, Field, at_least, closed, settle, start_at_least
 from controller.search.landmarks import Bounds
 from controller.search.reservations import AGENT, END, NEXT, START, ReservationTable
@@ -174,7 +175,7 @@ def _new_memory(nodes: int, vertices: int) -> _Memory:
     )
 
 
-@njit(cache=True)
+@kernel
 def _sipp(
     query: IntArray, rows: IntArray, count: IntArray, bans: IntArray, field: Field, bounds: Bounds, lanes: Lanes,
     blocked: NDArray[np.uint8], no_rest: NDArray[np.uint8], memory: _Memory, counters: NDArray[np.int64],
@@ -280,7 +281,7 @@ def _sipp(
     return wait_node
 
 
-@njit(cache=True)
+@kernel
 def _generate(
     edge: int, vertex: int, slot: int, t: int, leave: int, last: int, h: int, exact: bool, parent: int,
     query: IntArray, no_rest: NDArray[np.uint8], lanes: Lanes, memory: _Memory, counters: NDArray[np.int64],
@@ -328,14 +329,14 @@ def _generate(
     _push(n, memory, counters)
 
 
-@njit(cache=True)
+@kernel
 def _longest_turn(edge: int, query: IntArray, lanes: Lanes) -> int:
     """Steps after which an AGV that came over an edge can leave over any other one."""
     into = query[Q_EDGE] if edge < 0 else edge
     return 0 if into < 0 else int(lanes.longest_turn[query[Q_LOADED], into])
 
 
-@njit(cache=True)
+@kernel
 def _safe_until(rows: IntArray, count: IntArray, v: int, k: int, window: int) -> int:
     """End of the k-th safe interval of a vertex, FOREVER if only the window's end cuts it."""
     if k == count[v] or rows[v, k, START] >= window:
@@ -343,7 +344,7 @@ def _safe_until(rows: IntArray, count: IntArray, v: int, k: int, window: int) ->
     return int(rows[v, k, START])
 
 
-@njit(cache=True)
+@kernel
 def _after_bans(bans: IntArray, edge: int, step: int) -> int:
     """First step from ``step`` on at which the edge may be arrived by; ``bans`` is sorted by edge and step."""
     for i in range(bans.shape[0]):
@@ -352,7 +353,7 @@ def _after_bans(bans: IntArray, edge: int, step: int) -> int:
     return step
 
 
-@njit(cache=True)
+@kernel
 def _closes_ring(rows: IntArray, count: IntArray, v: int, w: int, step: int) -> bool:
     """Whether whoever leaves ``w`` at this step makes room, through others or not, for one who enters ``v`` then."""
     for _ in range(rows.shape[0]):
@@ -386,7 +387,7 @@ def _trace(last: int, nodes: IntArray) -> IntArray:
     return out
 
 
-@njit(cache=True)
+@kernel
 def _before(a: int, b: int, nodes: IntArray) -> bool:
     """Order of OPEN: smaller f, then those with an exact distance, then larger g, then the older node."""
     if nodes[a, FKEY] != nodes[b, FKEY]:
@@ -398,7 +399,7 @@ def _before(a: int, b: int, nodes: IntArray) -> bool:
     return a < b
 
 
-@njit(cache=True)
+@kernel
 def _push(n: int, memory: _Memory, counters: NDArray[np.int64]) -> None:
     OPEN, nodes = memory.open, memory.nodes
     i = memory.meta[SIZE]
@@ -414,7 +415,7 @@ def _push(n: int, memory: _Memory, counters: NDArray[np.int64]) -> None:
     OPEN[i] = n
 
 
-@njit(cache=True)
+@kernel
 def _pop(memory: _Memory, counters: NDArray[np.int64]) -> None:
     OPEN, nodes = memory.open, memory.nodes
     memory.meta[SIZE] -= 1
