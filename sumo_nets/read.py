@@ -14,6 +14,7 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Literal
@@ -141,7 +142,21 @@ def read_net(name_or_path: str | Path) -> GarageNet:
     Raises:
         NetError: unknown name, missing or unreadable file, a net without bays, or roles that contradict each other.
     """
-    net_file, additional_file = net_files(name_or_path)
+    paths = net_files(name_or_path)
+    return _read(*paths, tuple(_version(path) for path in paths))
+
+
+def _version(path: Path) -> tuple[int, int] | None:
+    """What tells versions of a file apart; None if there is none."""
+    if not path.exists():
+        return None
+    stat = path.stat()
+    return stat.st_mtime_ns, stat.st_size
+
+
+@lru_cache(maxsize=8)
+def _read(net_file: Path, additional_file: Path, _versions: tuple[object, ...]) -> GarageNet:
+    """Read both files, once for all runs of a process: to read a net takes longer than many a run."""
     net = _read_net_file(net_file)
     extra = _read_additional_file(additional_file)
     graph = _graph(net, additional_file.name.removesuffix(".add.xml"), net_file)
