@@ -371,6 +371,20 @@ def test_roles_follow_the_parameters(tmp_path: Path) -> None:
     assert after.roles["refuge"] == before.homes[:1]
 
 
+def test_a_net_is_read_once_and_again_when_either_file_changes(tmp_path: Path) -> None:
+    path = edited(tmp_path, "map1")
+    first = read_net(path)
+    assert read_net(path) is first
+    edited(tmp_path, "map1", net=('<param key="garage.home" value="0"/>', '<param key="garage.refuge" value="0"/>'))
+    assert read_net(path).graph.homes == first.graph.homes[1:]
+    add = path.with_name("edited.add.xml")
+    add.write_text(add.read_text() + " ")
+    assert read_net(path) is not first
+    add.unlink()
+    with pytest.raises(NetError, match=r"edited\.add\.xml: can't read"):
+        read_net(path)
+
+
 def test_check_sees_a_lane_that_lost_its_mark(tmp_path: Path) -> None:
     garage = read_net(edited(tmp_path, "map1", net=(' bidi="c6_2-c5_2"', "")))
     assert any("c5_2-c6_2: not marked bidi" in line for line in check_net(garage))

@@ -1,5 +1,6 @@
 """The parts of the single-agent search, each against a plain counterpart."""
 
+import sys
 from dataclasses import replace
 from itertools import pairwise
 
@@ -9,8 +10,10 @@ import pytest
 from brute_force import bodies, classic, garages, optimum, problems
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba.core.errors import NumbaError
 
 from controller.conflicts import validate
+from controller.kernel import kernel
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
@@ -241,3 +244,24 @@ def test_the_memory_grows_when_a_search_needs_it():
     path = finder.find_path(p, agent, table)
     assert path is not None
     assert path.arrive[-1] == 3999
+
+
+def test_searches_leave_the_references_to_their_tables_as_they_were():
+    p = crossing()
+    agent = replace(p.agents[0], goal=2)
+    finder, table = search(p, agent)
+    field = finder.distances.field(agent.goal, agent.loaded, agent.vertex)
+    arrays = [table.rows, table.count, *field, *finder.distances.space.lanes]
+    before = [sys.getrefcount(array) for array in arrays]
+    for _ in range(1000):
+        assert finder.find_path(p, agent, table) is not None
+    assert [sys.getrefcount(array) for array in arrays] == before
+
+
+def test_a_kernel_can_not_make_an_array():
+    @kernel
+    def make(n):
+        return np.zeros(n)[0]
+
+    with pytest.raises(NumbaError):
+        make(3)
