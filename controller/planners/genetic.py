@@ -233,7 +233,8 @@ class _Species:
 
     def cost(self, population: Population) -> tuple[Floats, Floats]:
         """Collisions, and delay in units."""
-        found = _cost(population.order, population.stops, self._routes, self._visits)
+        found = np.zeros((len(population.order), 2), dtype=np.int64)
+        _cost(*population, self._routes, self._visits, found)
         return found[:, 0].astype(np.float64), found[:, 1] / self.fleet.unit
 
     def mutate(self, population: Population, chosen: NDArray[np.intp], rng: Generator) -> None:
@@ -321,57 +322,64 @@ def _fixed_visits(problem: PlanningProblem, more: int) -> _Visits:
     return _Visits(table, newest, np.zeros((len(newest), 2), dtype=np.int32), np.array([len(rows), 0], dtype=np.int32))
 
 
-@njit(cache=True)
-def _cost(order: Genes, stops: Genes, routes: _Routes, visits: _Visits) -> NDArray[np.int64]:
-    """Collisions and steps of delay of each chromosome, shape (P, 2).
-
-    The tables are taken apart first: numba hands a tuple of arrays over at a cost many times that of a visit.
-    """
-    vertex, size, pause, drive, least, rest, ready, free, (unit, window, following) = routes
-    rows, fixed, newest, counts = visits
-    found = np.zeros((len(order), 2), dtype=np.int64)
+@kernel
+def _cost(order: Genes, stops: Genes, routes: _Routes, visits: _Visits, found: NDArray[np.int64]) -> None:
+    """Add collisions and steps of delay of each chromosome to ``found``, shape (P, 2)."""
     for p in range(len(order)):
-        counts[1] += 1
-        row = counts[0]
-        for i in range(len(ready)):
-            k = order[p, i, 0]
-            entered, t, before = 0, ready[i], -1
-            for j in range(size[i, k]):
-                v, after, depart, end = vertex[i, k, j], -1, 0, FOREVER
-                if j + 1 < size[i, k]:
-                    depart = t + pause[i, k, j] + unit * stops[p, i, j]
-                    t = end = depart + drive[i, k, j]
-                    after = vertex[i, k, j + 1]
-                if entered < window:
-                    rows[row, OLDER] = newest[v, 0] if newest[v, 1] == counts[1] else fixed[v]
-                    newest[v, 0], newest[v, 1] = row, counts[1]
-                    rows[row, START], rows[row, END], rows[row, AGENT] = entered, end, i
-                    rows[row, BEFORE], rows[row, AFTER] = before, after
-                    found[p, 0] += _met(rows, row, window, following)
-                    row += 1
-                entered = t if following else depart
-                before = v
-            found[p, 1] += max(0, max(t, least[i, k]) + rest[i, k] - free[i])
-    return found
+        visits.counts[1] += 1
+        row = visits.counts[0]
+        for i in range(len(routes.ready)):
+            met, row, arrival = _drive(i, order[p, i, 0], stops[p, i], routes, visits, row)
+            found[p, 0] += met
+            found[p, 1] += max(0, arrival - routes.free[i])
 
 
 @kernel
-def _met(rows: IntArray, row: int, window: int, following: int) -> int:
-    """How many earlier visits of its vertex a visit overlaps, or swaps with."""
-    start, end, agent = rows[row, START], rows[row, END], rows[row, AGENT]
-    before, after = rows[row, BEFORE], rows[row, AFTER]
+def _drive(i: int, k: int, stops: Genes, routes: _Routes, visits: _Visits, row: int) -> tuple[int, int, int]:
+    """Let an agent drive among those before it: whom it meets, the next free row, and its arrival at the goal."""
+    unit, window, following = routes.scale
+    size = routes.size[i, k]
+    met, entered, t = 0, 0, routes.ready[i]
+    for j in range(size):
+        end = FOREVER
+        depart = 0
+        if j + 1 < size:
+            depart = t + routes.pause[i, k, j] + unit * stops[j]
+            t = depart + routes.drive[i, k, j]
+            end = t
+        if entered < window:
+            new = visits.rows[row]
+            new[START], new[END], new[AGENT] = entered, end, i
+            new[BEFORE] = routes.vertex[i, k, j - 1] if j > 0 else -1
+            new[AFTER] = routes.vertex[i, k, j + 1] if j + 1 < size else -1
+            met += _enter(routes.vertex[i, k, j], row, visits, following, window)
+            row += 1
+        entered = t if following else depart
+    return met, row, max(t, routes.least[i, k]) + routes.rest[i, k]
+
+
+@kernel
+def _enter(v: int, row: int, visits: _Visits, following: int, window: int) -> int:
+    """Add a visit to its vertex; how many earlier ones it overlaps, or swaps with."""
+    now = visits.counts[1]
+    if visits.newest[v, 1] != now:
+        visits.newest[v, 0] = visits.fixed[v]
+        visits.newest[v, 1] = now
+    new = visits.rows[row]
+    new[OLDER] = visits.newest[v, 0]
+    visits.newest[v, 0] = row
     met = 0
-    other = rows[row, OLDER]
+    other = new[OLDER]
     while other >= 0:
-        if rows[other, AGENT] != agent:
-            its_start, its_end = rows[other, START], rows[other, END]
-            overlap = its_start < end and start < its_end and its_start < window
+        old = visits.rows[other]
+        if old[AGENT] != new[AGENT]:
+            overlap = old[START] < new[END] and new[START] < old[END] and old[START] < window
             swap = following and (
-                (its_end == start and rows[other, AFTER] == before and before >= 0)
-                or (its_start == end and rows[other, BEFORE] == after and after >= 0)
+                (old[END] == new[START] and old[AFTER] == new[BEFORE] and old[AFTER] >= 0)
+                or (new[END] == old[START] and new[AFTER] == old[BEFORE] and new[AFTER] >= 0)
             )
             met += overlap or swap
-        other = rows[other, OLDER]
+        other = old[OLDER]
     return met
 
 

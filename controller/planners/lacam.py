@@ -29,7 +29,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from controller.kernel import kernel
-from controller.planners.pibt import NOBODY, Moves, closes_ring, dead_ends, no_moves, obstacles, one_move
+from controller.planners.pibt import NOBODY, Moves, closes_ring, dead_ends, insert, no_moves, obstacles, one_move
 from controller.search.space import Lanes, Space
 from controller.types import FOREVER, NEVER, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
 from sumo_nets.graph import Graph, IntArray
@@ -318,7 +318,6 @@ def _begin(Q: IntArray, moves: Moves, distance: IntArray, closed: NDArray[np.uin
     for i in range(len(Q)):
         moves.now[i] = Q[i]
         moves.occupant[Q[i]] = i
-    keys = moves.keys
     for i in range(len(Q)):
         v = Q[i]
         row = moves.ranked[i]
@@ -331,11 +330,7 @@ def _begin(Q: IntArray, moves: Moves, distance: IntArray, closed: NDArray[np.uin
             key = _UNIT * np.int64(distance[i, w]) + (i * 31 + w * 17 + salt) % 7
             if moves.occupant[w] != NOBODY and w != v:
                 key += _UNIT // 2
-            place = size
-            while place > 0 and keys[place - 1] > key:
-                keys[place], row[place] = keys[place - 1], row[place - 1]
-                place -= 1
-            keys[place], row[place] = key, w
+            insert(w, key, size, row, moves.keys)
             size += 1
 
 

@@ -193,19 +193,19 @@ def _rank(
         if w != goal:
             cost = min(FOREVER, cost + settle(e, field, lanes, blocked, counters))
         here = min(here, cost)
-        key = 2 * cost + (1 if occupant[w] != NOBODY else 0)
-        k = size
-        while k > 0 and keys[k - 1] > key:
-            keys[k], row[k] = keys[k - 1], row[k - 1]
-            k -= 1
-        keys[k], row[k] = key, w
+        insert(w, 2 * cost + (1 if occupant[w] != NOBODY else 0), size, row, keys)
         size += 1
-    key = 2 * here + (0 if v == goal else 2)
+    insert(v, 2 * here + (0 if v == goal else 2), size, row, keys)
+
+
+@kernel
+def insert(v: int, key: int, size: int, row: IntArray, keys: NDArray[np.int64]) -> None:
+    """Put a vertex into the first ``size`` places of a ranking, behind those with the same key."""
     k = size
     while k > 0 and keys[k - 1] > key:
         keys[k], row[k] = keys[k - 1], row[k - 1]
         k -= 1
-    row[k] = v
+    keys[k], row[k] = key, v
 
 
 @kernel
