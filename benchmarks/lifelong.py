@@ -37,7 +37,9 @@ from sumo_nets.movingai import grid_graph, read_map
 #: Fleets of each map.
 FLEETS = {"warehouse": (10, 50, 100, 200), "garage": (4, 8, 16, 32, 64), "long_garage": (4, 8, 16, 32, 64)}
 #: Options of the planners unless ``--options`` names others.
-OPTIONS: dict[str, dict[str, object]] = {"token": {"through_slots_agvs": 10**6, "improvements": 8}}
+OPTIONS: dict[str, dict[str, object]] = {
+    "token": {"through_slots_agvs": 10**6, "improvements": 8, "detours": True, "late_moves": 1}
+}
 #: Window in ticks, replanning period, and ticks without coming nearer to the goal that count as stuck. Agents of PIBT
 #: go out of their way for long.
 SETTINGS = {"pbs": (40, 5, 20), "whca": (40, 5, 20), "pibt": (5, 1, 100)}

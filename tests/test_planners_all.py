@@ -72,6 +72,7 @@ def test_improvement_keeps_plans_free_of_conflicts_and_never_makes_them_later():
         fixed = tuple(plain.paths.get(path.agv, path) for path in fixed)
         late = replace(p, agents=tuple(a for a in agents if a not in carrying), carrying=carrying, fixed=fixed)
         exact = {"late_moves": 0, "slack_moves": 0}
+        exact["detours"] = bool(seed % 2)
         results = [load_planner("token", p.graph, p.motion, exact | {"improvements": n})(late) for n in (0, 20)]
         assert [violations(lambda _, r=r: r, late) for r in results] == [[], []]
         assert results[0].failed.keys() == results[1].failed.keys()
@@ -80,6 +81,26 @@ def test_improvement_keeps_plans_free_of_conflicts_and_never_makes_them_later():
         assert sum(ends[1].values()) <= sum(ends[0].values())
         saved += sum(ends[0].values()) - sum(ends[1].values())
     assert saved > 0
+
+
+def test_improvement_finds_who_makes_an_agent_go_a_long_way_round():
+    """The agent waits nowhere; on its short way, by the upper road, it would meet the other one."""
+    graph = grid_graph("ring", [".........", *["@.@@@@@.@"] * 3, "@.......@"])
+    motion = make_motion(graph, 1.0, lambda _metres, _loaded: 1, lambda _degrees, _loaded: 0, True)
+    round_by = ["0,0", *(f"1,{y}" for y in range(5)), *(f"{x},4" for x in range(2, 7)), "7,4", "7,3", "7,2", "7,1"]
+    ways = [[*round_by, "7,0", "8,0"], ["7,1", *(f"{x},0" for x in range(7, 0, -1)), "1,1"]]
+    fixed = tuple(
+        Path(n, tuple(graph.index[name] for name in way), tuple(range(len(way))), tuple(range(len(way) - 1)))
+        for n, way in enumerate(ways)
+    )
+    carrying = tuple(PlanAgent(p.agv, p.vertices[0], -1, 0, p.vertices[-1], False) for p in fixed)
+    free = np.zeros(len(graph.names), dtype=np.uint8)
+    p = PlanningProblem(graph, motion, (), fixed, free, free, FOREVER, carrying=carrying)
+    assert load_planner("token", graph, motion, {})(p).paths == {}
+    found = load_planner("token", graph, motion, {"detours": True})(p)
+    assert [path.arrive[-1] for path in fixed] == [16, 8]
+    assert sorted(path.arrive[-1] for path in found.paths.values()) == [8, 12]
+    assert violations(lambda _: found, replace(p, agents=carrying, fixed=(), carrying=())) == []
 
 
 def cost(result):

@@ -131,8 +131,27 @@ def test_reservations_equal_a_table_of_steps(actions, following):
             assert all(first[1] <= second[0] for first, second in pairwise(rows))
             for t in range(60):
                 assert table.owner(v, t) == steps.owners.get((v, t), -1)
-    table.clear()
+    table.reset()
     assert not any(list(table.intervals(v)) for v in range(3))
+
+
+@given(st.lists(st.tuples(st.permutations(range(4)), st.integers(0, 9), st.integers(1, 4)), max_size=12), st.booleans())
+def test_paths_reserved_at_once_are_as_reserved_one_by_one(drawn, following):
+    paths = []
+    for agv, (vertices, start, steps) in enumerate(drawn):
+        arrive = tuple(start + 2 * steps * k for k in range(len(vertices)))
+        depart = tuple(t + steps for t in arrive[:-1])
+        paths.append(Path(agv, tuple(vertices), arrive, depart, arrive[-1] + steps))
+    one, all_ = (ReservationTable(4, following, capacity=2) for _ in range(2))
+    all_.hold(0, 0, 5, 99)
+    for path in paths:
+        one.add(path)
+    all_.reset(paths)
+    assert [list(one.intervals(v)) for v in range(4)] == [list(all_.intervals(v)) for v in range(4)]
+    for path in paths[::2]:
+        one.remove(path.agv)
+        all_.remove(path.agv)
+    assert [list(one.intervals(v)) for v in range(4)] == [list(all_.intervals(v)) for v in range(4)]
 
 
 def search(problem, agent, fixed=()):
@@ -140,8 +159,7 @@ def search(problem, agent, fixed=()):
     finder = PathSearch(distances)
     finder.begin(problem)
     table = ReservationTable(len(problem.graph.names), problem.motion.following)
-    for path in fixed:
-        table.add(path)
+    table.reset(fixed)
     return finder, table
 
 

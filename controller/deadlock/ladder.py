@@ -364,9 +364,7 @@ class Ladder:
         return paths, None
 
     def _fill(self, problem: PlanningProblem) -> None:
-        self._table.clear()
-        for path in problem.fixed:
-            self._table.add(path)
+        self._table.reset(problem.fixed)
 
     def _take(self, deadlock: Deadlock, resolution: Resolution, outside: Sequence[Path], step: int) -> bool:
         ex = self._executor

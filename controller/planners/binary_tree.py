@@ -142,9 +142,7 @@ class BinaryTreePlanner:
             SOLVED, or PARTIAL with the agents that hold their place and who is in their way (-1: no route).
         """
         self._search.counters = Counters()
-        self.table.clear()
-        for path in problem.fixed:
-            self.table.add(path)
+        self.table.reset(problem.fixed)
         round_ = Round(problem, self.table, self._search, self.options.raises)
         round_.run()
         return PlanResult(round_.status, round_.paths, round_.failed, self._search.counters)

@@ -114,9 +114,7 @@ class Cbs:
         before = self.distances.counters.copy()
         problem = replace(problem, window_steps=FOREVER)
         self._search.begin(problem)
-        self._table.clear()
-        for path in problem.fixed:
-            self._table.add(path)
+        self._table.reset(problem.fixed)
         status, paths = self._run(problem)
         work = Counters(*(self.distances.counters - before).tolist())
         return PlanResult(status, paths, {}, work)

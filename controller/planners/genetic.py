@@ -98,9 +98,7 @@ class GeneticPlanner:
         if fleet.score(default.paths) == (0, 0):
             return default
         self._search.begin(problem)
-        self._table.clear()
-        for path in problem.fixed:
-            self._table.add(path)
+        self._table.reset(problem.fixed)
         candidates = [self._candidates(problem, agent, default) for agent in problem.agents]
         species = _Species(fleet, candidates)
         options = Options(self.options.population, mutation=self.options.mutation, beta=self.options.beta)

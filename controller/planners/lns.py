@@ -2,7 +2,8 @@
 
 An agent that waits long on its way, and those it waits for, give back their paths and are planned again, it first. The
 new paths are taken if the sum of their arrivals is less; otherwise the old ones stay, and the next time the agents are
-planned in another order. Those that have been looked at in vain come behind all others.
+planned in another order. Those that have been looked at in vain come behind all others. With ``Detours`` an agent that
+goes a long way round is late as well, and those whom it would meet on the short way are planned again with it.
 
 Guarantee: whatever is returned is as free of conflicts as what came in, everybody still rests at the end of its path,
 and the sum of arrivals never grows. Limits: a local search; somebody may be overtaken again and again by agents with
@@ -12,7 +13,7 @@ new goals. Departures from the paper: one kind of neighbourhood, and a number of
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, pairwise
 
 import numpy as np
@@ -20,7 +21,7 @@ from numba import njit
 
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
-from controller.types import Path, PlanAgent, PlanningProblem
+from controller.types import FOREVER, Path, PlanAgent, PlanningProblem
 
 #: At most so many others are planned again with an agent.
 NEIGHBOURS = 4
@@ -61,12 +62,12 @@ class Improvement:
         self.tried, self.taken = 0, 0
 
     def run(self, tries: int, threshold: int) -> None:
-        """Try so many neighbourhoods of agents that wait for more than ``threshold`` steps."""
-        waited = self._waited(list(self.agents))
-        late = self._late(waited, threshold)
+        """Try so many neighbourhoods of agents that are late by more than ``threshold`` steps."""
+        lateness = self._lateness(list(self.agents))
+        late = self._late(lateness, threshold)
         while late and self.tried < tries:
             agv = late.pop(0)
-            others = self._in_the_way(agv)
+            others = self._in_the_way(agv, threshold)
             order = [agv, *others]
             before = self.looked.get(agv, 0)
             if before:  # the same order again would fare no better
@@ -75,16 +76,16 @@ class Improvement:
             self.tried += 1
             if others and self._again(order):
                 self.taken += 1
-                self.looked.update(dict.fromkeys([agv, *others], 0))
-                waited.update(self._waited(order))
-                late = self._late(waited, threshold)
+                self.looked.update(dict.fromkeys(order, 0))
+                lateness.update(self._lateness(order))
+                late = self._late(lateness, threshold)
 
-    def _late(self, waited: Mapping[int, int], threshold: int) -> list[int]:
-        """AGVs that wait too long on their way, those looked at least first, then those that wait longest."""
-        late = (agv for agv in waited if waited[agv] > threshold)
-        return sorted(late, key=lambda agv: (self.looked.get(agv, 0), -waited[agv], agv))
+    def _late(self, lateness: Mapping[int, int], threshold: int) -> list[int]:
+        """AGVs that are too late, those looked at least first, then the latest."""
+        late = (agv for agv in lateness if lateness[agv] > threshold)
+        return sorted(late, key=lambda agv: (self.looked.get(agv, 0), -lateness[agv], agv))
 
-    def _waited(self, agvs: Sequence[int]) -> dict[int, int]:
+    def _lateness(self, agvs: Sequence[int]) -> dict[int, int]:
         """For how many steps each of these AGVs waits on its way, all in all."""
         if not agvs:
             return {}
@@ -99,7 +100,7 @@ class Improvement:
         return dict(zip(agvs, steps.tolist(), strict=True))
 
     def _waits(self, agv: int) -> Iterator[tuple[int, int, int]]:
-        """Where an agent waits: the vertex it waits for, the step in which it could have set out, and for how long."""
+        """Where an agent waits: the vertex it waits for, the steps in which it could set out and in which it does."""
         agent, path = self.agents[agv], self.paths[agv]
         graph, motion = self.problem.graph, self.problem.motion
         into, ready = agent.in_edge, agent.ready_step
@@ -107,15 +108,19 @@ class Improvement:
             edge = graph.edge_index[u, v]
             could = ready + motion.turn(graph, into, edge, agent.loaded)
             if depart > could:
-                yield v, could, depart - could
+                yield v, could, depart
             into, ready = edge, arrive
 
-    def _in_the_way(self, agv: int) -> list[int]:
+    def _in_the_way(self, agv: int, threshold: int) -> list[int]:
         """Those whom the agent waits for, in the order of meeting."""
+        return self._met(agv, self._waits(agv))
+
+    def _met(self, agv: int, places: Iterable[tuple[int, int, int]]) -> list[int]:
+        """Whom an agent meets at some vertices, each between two steps."""
         met: dict[int, None] = {}
-        for vertex, step, steps in self._waits(agv):
+        for vertex, first, last in places:
             for begins, ends, owner in self.table.intervals(vertex):
-                if begins <= step + steps and ends >= step and owner != agv and owner in self.agents:
+                if begins <= last and ends >= first and owner != agv and owner in self.agents:
                     met[owner] = None
         return list(met)[:NEIGHBOURS]
 
@@ -144,6 +149,31 @@ class Improvement:
             for path in old.values():
                 self.table.add(path)
         return better
+
+
+class Detours(Improvement):
+    """An improvement for which late is who arrives later than it would if it were alone."""
+
+    def _lateness(self, agvs: Sequence[int]) -> dict[int, int]:
+        """How many steps later each of these AGVs arrives than if it were alone, as far as is known unsearched."""
+        steps = {}
+        for agv in agvs:
+            a = self.agents[agv]
+            alone = a.ready_step + self.search.distances.known(a.vertex, a.in_edge, a.goal, a.loaded)
+            steps[agv] = self.paths[agv].arrive[-1] - alone
+        return steps
+
+    def _in_the_way(self, agv: int, threshold: int) -> list[int]:
+        """Those whom the agent would meet if it went as if it were alone, and those it waits for as it goes.
+
+        Nobody if it turns out that even alone it would hardly be earlier.
+        """
+        nobody = ReservationTable(len(self.problem.graph.names), self.table.following, capacity=1)
+        alone = self.search.find_path(self.problem, self.agents[agv], nobody)
+        if alone is None or self.paths[agv].arrive[-1] <= alone.arrive[-1] + threshold:
+            return []
+        legs = zip(alone.vertices, (step + 1 for step in alone.arrive), (*alone.arrive[1:], FOREVER), strict=True)
+        return self._met(agv, chain(legs, self._waits(agv)))
 
 
 @njit(cache=True)

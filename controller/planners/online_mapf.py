@@ -94,11 +94,8 @@ class OnlineMapf:
 
     def _plan(self, order: Sequence[PlanAgent], problem: PlanningProblem) -> tuple[dict[int, Path], dict[int, int]]:
         """Paths in this order, and for those without one who is in the way; an agent without a path keeps its place."""
-        self.table.clear()
         agents = {agent.agv for agent in order}
-        for path in problem.fixed:
-            if path.agv not in agents:
-                self.table.add(path)
+        self.table.reset([path for path in problem.fixed if path.agv not in agents])
         for agent in order:
             self.table.hold(agent.vertex, 0, agent.ready_step + self._leaving(agent, problem), agent.agv)
         paths: dict[int, Path] = {}

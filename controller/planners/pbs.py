@@ -86,9 +86,7 @@ class Pbs:
         """
         self.distances.counters[:] = 0
         self._search.begin(problem)
-        self.table.clear()
-        for path in problem.fixed:
-            self.table.add(path)
+        self.table.reset(problem.fixed)
         tree = _Tree(problem, self.table, self._search, self.options.nodes)
         solution = tree.run()
         self.nodes = tree.nodes

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.planners.lns import Improvement
+from controller.planners.lns import Detours, Improvement
 from controller.search.cut import closed_around
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
@@ -40,6 +40,7 @@ class TokenOptions:
         passes: how often agents without a path are tried in one call.
         improvements: neighbourhoods of late agents planned again in one call, at most; see ``lns``.
         late_moves: who waits on its way for longer than so many moves take is late.
+        detours: who goes a long way round because of others is late, too: better plans for more search.
         through_slots_agvs: in fleets of up to so many AGVs paths may lead through slots that nobody rests in, has
             parked in or heads for.
     """
@@ -47,6 +48,7 @@ class TokenOptions:
     passes: int = 2
     improvements: int = 3
     late_moves: int = 4
+    detours: bool = False
     slack_moves: int = 2
     through_slots_agvs: int = 3
 
@@ -112,11 +114,8 @@ class Token:
             problem = replace(problem, blocked=problem.blocked | self._slots)
         self._search.distances.counters[:] = 0
         self._search.begin(problem)
-        self.table.clear()
-        carried: dict[int, Path] = {}
-        for path in problem.fixed:
-            carried[path.agv] = path
-            self.table.add(path)
+        self.table.reset(problem.fixed)
+        carried = {path.agv: path for path in problem.fixed}
         waiting = sorted(problem.agents, key=lambda agent: (-agent.priority, agent.agv))
         paths: dict[int, Path] = {}
         failed: dict[int, int] = {}
@@ -159,7 +158,8 @@ class Token:
         agents = {a.agv: a for a in problem.carrying if a.agv in carried and carried[a.agv].vertices[-1] == a.goal}
         agents |= {a.agv: a for a in problem.agents if a.agv in paths}
         self._looked.update({agent.agv: 0 for agent in problem.agents})
-        improvement = Improvement(problem, agents, everybody, self.table, self._search, self._looked)
+        make = Detours if self.options.detours else Improvement
+        improvement = make(problem, agents, everybody, self.table, self._search, self._looked)
         improvement.run(self.options.improvements, self._threshold)
         paths.update({agv: everybody[agv] for agv in improvement.changed})
 

@@ -61,9 +61,7 @@ class Whca:
         """
         self.distances.counters[:] = 0
         self._search.begin(problem)
-        self.table.clear()
-        for path in problem.fixed:
-            self.table.add(path)
+        self.table.reset(problem.fixed)
         round_ = Round(problem, self.table, self._search, self.options.raises)
         round_.run()
         counters = Counters(*self.distances.counters.tolist())

@@ -55,6 +55,7 @@ class Landmarks:
         self._tables: dict[tuple[int, bool], IntArray] = {}
         none = np.zeros((0, len(space.lanes.tail)), dtype=np.int32)
         self._stacked: dict[bool, IntArray] = {False: none, True: none}
+        self._bounds: dict[tuple[int, bool], Bounds] = {}
 
     def steps_from(self, vertex: int, loaded: bool, counters: NDArray[np.int64]) -> IntArray:
         """Steps from a landmark until each edge has been driven, shape (m,); ``FOREVER`` where there is no way."""
@@ -64,13 +65,18 @@ class Landmarks:
             self._tables[vertex, loaded] = table
             if len(self._stacked[loaded]) < MOST_IN_BOUNDS:
                 self._stacked[loaded] = np.vstack((self._stacked[loaded], table[None]))
+                self._bounds.clear()
         return table
 
     def bounds(self, goal: int, loaded: bool) -> Bounds:
         """What the tables made so far say about a goal."""
-        tables, lanes = self._stacked[loaded], self._lanes
-        into = lanes.in_edges[lanes.first_in[goal] : lanes.first_in[goal + 1]]
-        return Bounds(tables, tables[:, into].min(axis=1, initial=FOREVER))
+        bounds = self._bounds.get((goal, loaded))
+        if bounds is None:
+            tables, lanes = self._stacked[loaded], self._lanes
+            into = lanes.in_edges[lanes.first_in[goal] : lanes.first_in[goal + 1]]
+            bounds = Bounds(tables, tables[:, into].min(axis=1, initial=FOREVER))
+            self._bounds[goal, loaded] = bounds
+        return bounds
 
 
 @kernel
