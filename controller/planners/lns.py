@@ -13,18 +13,39 @@ new goals. Departures from the paper: one kind of neighbourhood, and a number of
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain, pairwise
+from collections.abc import Mapping, Sequence
+from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
-from controller.search.reservations import ReservationTable
+from controller.kernel import kernel
+from controller.search.reservations import AGENT, END, START, ReservationTable
 from controller.search.sipp import PathSearch
+from controller.search.space import Lanes
 from controller.types import FOREVER, Path, PlanAgent, PlanningProblem
+from sumo_nets.graph import IntArray
 
 #: At most so many others are planned again with an agent.
 NEIGHBOURS = 4
+#: Room for those that an agent meets, itself included.
+MOST_MET = 32
+
+
+class _Waits(NamedTuple):
+    """Where agents wait on their paths.
+
+    Attributes:
+        path: number of the path among those asked for, shape (k,).
+        vertex: what they wait for, shape (k,).
+        first, last: the steps in which they could set out and in which they do, shape (k,).
+    """
+
+    path: NDArray[np.int64]
+    vertex: IntArray
+    first: IntArray
+    last: IntArray
 
 
 class Improvement:
@@ -87,42 +108,36 @@ class Improvement:
 
     def _lateness(self, agvs: Sequence[int]) -> dict[int, int]:
         """For how many steps each of these AGVs waits on its way, all in all."""
-        if not agvs:
-            return {}
+        waits = self._waits(agvs)
+        late = np.zeros(len(agvs), dtype=np.int64)
+        np.add.at(late, waits.path, waits.last - waits.first)
+        return dict(zip(agvs, late.tolist(), strict=True))
+
+    def _waits(self, agvs: Sequence[int]) -> _Waits:
+        """Where these AGVs wait, path after path."""
         agents, paths = [self.agents[agv] for agv in agvs], [self.paths[agv] for agv in agvs]
-        first = np.cumsum([0, *(len(path.vertices) for path in paths)], dtype=np.int32)
+        moves = np.fromiter((len(path.depart) for path in paths), dtype=np.int32, count=len(paths))
         way, arrive, depart = (
             np.fromiter(chain.from_iterable(times), dtype=np.int32)
             for times in ((p.vertices for p in paths), (p.arrive for p in paths), (p.depart for p in paths))
         )
-        now = np.array([(a.in_edge, a.ready_step, a.loaded) for a in agents], dtype=np.int32)
-        steps = _steps_waited(first, way, arrive, depart, now, self.search.distances.space.lanes)
-        return dict(zip(agvs, steps.tolist(), strict=True))
-
-    def _waits(self, agv: int) -> Iterator[tuple[int, int, int]]:
-        """Where an agent waits: the vertex it waits for, the steps in which it could set out and in which it does."""
-        agent, path = self.agents[agv], self.paths[agv]
-        graph, motion = self.problem.graph, self.problem.motion
-        into, ready = agent.in_edge, agent.ready_step
-        for (u, v), arrive, depart in zip(pairwise(path.vertices), path.arrive[1:], path.depart, strict=True):
-            edge = graph.edge_index[u, v]
-            could = ready + motion.turn(graph, into, edge, agent.loaded)
-            if depart > could:
-                yield v, could, depart
-            into, ready = edge, arrive
+        now = np.array([(a.in_edge, a.ready_step, a.loaded) for a in agents], dtype=np.int32).reshape(-1, 3)
+        vertex, could = np.empty_like(depart), np.empty_like(depart)
+        _set_out(moves, way, arrive, now, self.search.distances.space.lanes, vertex, could)
+        waiting = depart > could
+        which = np.repeat(np.arange(len(agvs)), moves)
+        return _Waits(which[waiting], vertex[waiting], could[waiting], depart[waiting])
 
     def _in_the_way(self, agv: int, threshold: int) -> list[int]:
         """Those whom the agent waits for, in the order of meeting."""
-        return self._met(agv, self._waits(agv))
+        _, vertices, first, last = self._waits([agv])
+        return self._met(agv, vertices, first, last)
 
-    def _met(self, agv: int, places: Iterable[tuple[int, int, int]]) -> list[int]:
+    def _met(self, agv: int, vertices: IntArray, first: IntArray, last: IntArray) -> list[int]:
         """Whom an agent meets at some vertices, each between two steps."""
-        met: dict[int, None] = {}
-        for vertex, first, last in places:
-            for begins, ends, owner in self.table.intervals(vertex):
-                if begins <= last and ends >= first and owner != agv and owner in self.agents:
-                    met[owner] = None
-        return list(met)[:NEIGHBOURS]
+        found = np.empty(MOST_MET, dtype=np.int32)
+        k = _meet(vertices, first, last, self.table.rows, self.table.count, found)
+        return [other for other in found[:k].tolist() if other != agv and other in self.agents][:NEIGHBOURS]
 
     def _again(self, order: list[int]) -> bool:
         """Plan again in this order; whether that is better."""
@@ -172,30 +187,59 @@ class Detours(Improvement):
         alone = self.search.find_path(self.problem, self.agents[agv], nobody)
         if alone is None or self.paths[agv].arrive[-1] <= alone.arrive[-1] + threshold:
             return []
-        legs = zip(alone.vertices, (step + 1 for step in alone.arrive), (*alone.arrive[1:], FOREVER), strict=True)
-        return self._met(agv, chain(legs, self._waits(agv)))
+        _, vertices, first, last = self._waits([agv])
+        way, arrive = (np.array(part, dtype=np.int32) for part in (alone.vertices, (*alone.arrive, FOREVER)))
+        legs = (way, arrive[:-1] + 1, arrive[1:])
+        return self._met(agv, *(np.concatenate(pair) for pair in zip(legs, (vertices, first, last), strict=True)))
 
 
-@njit(cache=True)
-def _steps_waited(first, way, arrive, depart, now, lanes):  # type: ignore[no-untyped-def]
-    """For each of several paths, one after the other in the arrays, how much later it sets out than it could.
+@kernel
+def _set_out(
+    moves: IntArray, way: IntArray, arrive: IntArray, now: IntArray, lanes: Lanes, vertex: IntArray, could: IntArray
+) -> None:
+    """For each move of several paths, one after the other in the arrays, where to and when it could have begun.
 
     Args:
-        first: where each path begins in ``way`` and ``arrive``; ``depart`` has one entry less for each path.
-        way, arrive, depart: as in ``Path``.
+        moves: number of moves of each path.
+        way, arrive: as in ``Path``, one entry more than moves for each path.
         now: edge come by, first step at which the agent can leave, 1 if loaded; a row each.
         lanes: the garage.
+        vertex, could: filled, an entry for each move.
     """
-    waited = np.zeros(len(now), dtype=np.int64)
-    for i in range(len(now)):
-        came, could, loaded = now[i]
-        for k in range(first[i], first[i + 1] - 1):
-            u = way[k]
+    k = 0
+    for i in range(len(moves)):
+        came, ready, loaded = now[i, 0], now[i, 1], now[i, 2]
+        for j in range(k, k + moves[i]):
+            u, v = way[i + j], way[i + j + 1]
             edge = lanes.first_out[u]
-            while lanes.head[edge] != way[k + 1]:
+            while lanes.head[edge] != v:
                 edge += 1
             if came >= 0:
-                could += lanes.turn_steps[loaded, lanes.first_transition[came] + edge - lanes.first_out[u]]
-            waited[i] += max(0, depart[k - i] - could)
-            came, could = edge, arrive[k + 1]
-    return waited
+                ready += lanes.turn_steps[loaded, lanes.first_transition[came] + edge - lanes.first_out[u]]
+            vertex[j], could[j] = v, ready
+            came, ready = edge, arrive[i + j + 1]
+        k += moves[i]
+
+
+@kernel
+def _meet(vertices: IntArray, first: IntArray, last: IntArray, rows: IntArray, count: IntArray, met: IntArray) -> int:
+    """Who owns some vertices between two steps each, those who end or begin just then included; how many there are.
+
+    Args:
+        vertices, first, last: where and when.
+        rows, count: the reservations.
+        met: filled with agents in the order of meeting, as far as there is room.
+    """
+    n = 0
+    for i in range(len(vertices)):
+        v = vertices[i]
+        for k in range(count[v]):
+            if rows[v, k, START] > last[i] or rows[v, k, END] < first[i]:
+                continue
+            j = 0
+            while j < n and met[j] != rows[v, k, AGENT]:
+                j += 1
+            if j == n and n < len(met):
+                met[n] = rows[v, k, AGENT]
+                n += 1
+    return n

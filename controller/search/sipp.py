@@ -48,6 +48,8 @@ EDGE, VERTEX, SLOT, T, LEAVE, LAST, H, FKEY, PARENT, OLDER, STALE, FINAL, EXACT,
 #: Places of the query that the kernel reads.
 Q_VERTEX, Q_EDGE, Q_READY, Q_GOAL, Q_LOADED, Q_WINDOW, Q_PENALTY, Q_FOLLOWING, Q_LIMIT, Q_SLACK = range(10)
 
+_NO_BANS: IntArray = np.zeros((0, 2), dtype=np.int32)
+
 #: What the kernel answers instead of a node number.
 NONE, FULL, LIMIT = -1, -2, -3
 
@@ -144,7 +146,7 @@ class PathSearch:
         d = self.distances
         field = d.field(agent.goal, agent.loaded, agent.vertex)
         bounds = d.bounds(agent.goal, agent.loaded)
-        bans = np.array(sorted(forbidden), dtype=np.int32).reshape(-1, 2)
+        bans = np.array(sorted(forbidden), dtype=np.int32).reshape(-1, 2) if forbidden else _NO_BANS
         while True:
             last = _sipp(
                 query, table.rows, table.count, bans, field, bounds, d.space.lanes, d.blocked, self._no_rest,
