@@ -10,7 +10,7 @@ from, and delay, which on shortest ways is the stops, stands for the stops. Fixe
 Guarantee: free of conflicts like WHCA*'s plan, and never worse than it in agents that hold, then in delay. What still
 collides after the last generation holds its place, those in most collisions first; if that is worse than WHCA*'s plan,
 WHCA*'s plan is the answer. Without a delay to remove nothing is bred.
-Limits: some fifty times the work of WHCA* with the defaults; what it wins is waiting that the order of priorities
+Limits: some thirty times the work of WHCA* with the defaults; what it wins is waiting that the order of priorities
 caused, a few per cent of the delay. It helps where many meet in one window, and not where nobody could wait less.
 """
 
