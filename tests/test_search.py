@@ -57,7 +57,12 @@ def test_distances_equal_dijkstra_on_edges_in_any_order_of_questions(data):
                     expected = FOREVER
                 if graph.head[e] == goal:
                     expected = 0
-                assert distances.distance(int(graph.head[e]), e, goal, loaded) == expected
+                v = int(graph.head[e])
+                bounds = [distances.known(v, came, goal, loaded) for came in (e, -1)]
+                assert bounds[0] <= expected
+                assert distances.distance(v, e, goal, loaded) == expected
+                assert bounds[1] <= distances.distance(v, -1, goal, loaded)
+                assert bounds[0] <= distances.known(v, e, goal, loaded) <= expected
 
 
 def test_a_first_move_needs_no_turn_and_unreachable_is_for_ever():

@@ -315,7 +315,7 @@ class Ladder:
         self, leader: PlanAgent, group: list[PlanAgent], problem: PlanningProblem, blockers: set[int]
     ) -> dict[int, Path] | None:
         """The leader goes on, the others keep their places."""
-        self._fill(problem)
+        self._table.reset(problem.fixed)
         for agent in group:
             if agent is not leader:
                 self._table.hold(agent.vertex, 0, FOREVER, agent.agv)
@@ -344,7 +344,7 @@ class Ladder:
     def _plan_in_order(
         self, order: list[PlanAgent], problem: PlanningProblem
     ) -> tuple[dict[int, Path], PlanAgent | None]:
-        self._fill(problem)
+        self._table.reset(problem.fixed)
         motion, graph = problem.motion, problem.graph
         for a in order:
             out = range(int(graph.first_out[a.vertex]), int(graph.first_out[a.vertex + 1]))
@@ -362,9 +362,6 @@ class Ladder:
             paths[a.agv] = path
             self._table.add(path)
         return paths, None
-
-    def _fill(self, problem: PlanningProblem) -> None:
-        self._table.reset(problem.fixed)
 
     def _take(self, deadlock: Deadlock, resolution: Resolution, outside: Sequence[Path], step: int) -> bool:
         ex = self._executor

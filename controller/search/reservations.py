@@ -47,14 +47,15 @@ class ReservationTable:
         for path, a, b in zip(paths, first, first[1:], strict=False):
             self._note(path.agv, vertices[a:b])
         agvs = np.array([path.agv for path in paths], dtype=np.int32)
-        self._add(np.array(first, dtype=np.int32), vertices, np.stack((arrive, leave)), agvs)
+        self._reserve(np.array(first, dtype=np.int32), vertices, np.stack((arrive, leave)), agvs)
 
     def add(self, path: Path) -> None:
         """Reserve all vertices of a path for its agent."""
         vertices = np.array(path.vertices, dtype=np.int32)
         self._note(path.agv, vertices)
         times = np.array((path.arrive, (*path.depart, path.until)), dtype=np.int32)
-        self._add(np.array((0, len(vertices)), dtype=np.int32), vertices, times, np.array((path.agv,), dtype=np.int32))
+        first, agvs = (np.array(part, dtype=np.int32) for part in ((0, len(vertices)), (path.agv,)))
+        self._reserve(first, vertices, times, agvs)
 
     def hold(self, vertex: int, start: int, end: int, agv: int) -> None:
         """Reserve one vertex for the steps ``start`` to ``end`` (exclusive)."""
@@ -79,7 +80,7 @@ class ReservationTable:
         for row in self.rows[vertex, : self.count[vertex]].tolist():
             yield row[START], row[END], row[AGENT]
 
-    def _add(self, first: IntArray, vertices: IntArray, times: IntArray, agvs: IntArray) -> None:
+    def _reserve(self, first: IntArray, vertices: IntArray, times: IntArray, agvs: IntArray) -> None:
         done = 0
         while True:
             done = _add(self.rows, self.count, first, vertices, times, agvs, self.following, done)
@@ -93,6 +94,10 @@ class ReservationTable:
     def grow(self) -> None:
         """Double the room for intervals."""
         self.rows = np.concatenate((self.rows, np.zeros_like(self.rows)), axis=1)
+
+
+def _flat(parts: Iterable[Iterable[int]], length: int) -> IntArray:
+    return np.fromiter(chain.from_iterable(parts), dtype=np.int32, count=length)
 
 
 @kernel
@@ -119,10 +124,6 @@ def fill(rows: IntArray, count: IntArray, v: int, start: int, end: int, agv: int
             return True
         start = max(stop, rows[v, k, END])
     return True
-
-
-def _flat(parts: Iterable[Iterable[int]], length: int) -> IntArray:
-    return np.fromiter(chain.from_iterable(parts), dtype=np.int32, count=length)
 
 
 @kernel
