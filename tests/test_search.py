@@ -184,6 +184,10 @@ def crossings(draw):
     return replace(p, agents=p.agents[:1], fixed=tuple(fixed))
 
 
+def intervals(table):
+    return [list(table.intervals(v)) for v in range(len(table.reserved.counts))]
+
+
 @settings(max_examples=200, deadline=None)
 @given(crossings(), st.integers(0, 5))
 def test_quickest_path_among_others_and_with_slack_little_later(p, slack):
@@ -197,6 +201,65 @@ def test_quickest_path_among_others_and_with_slack_little_later(p, slack):
     else:
         assert validate(p, PlanResult(Status.SOLVED, {agent.agv: path})) == []
         assert best <= path.arrive[-1] <= best + slack
+
+
+@settings(max_examples=100, deadline=None)
+@given(crossings(), st.sampled_from([5, 20, FOREVER]), st.sampled_from([1, 8]))
+def test_a_path_reserved_where_it_is_found_is_the_one_that_is_found(p, window, capacity):
+    agent = p.agents[0]
+    p = replace(p, window_steps=window)
+    finder, table = search(p, agent, p.fixed)
+    other = ReservationTable(len(p.graph.names), p.motion.following, capacity)
+    other.reset(p.fixed)
+    path = finder.find_path(p, agent, table)
+    assert finder.reserve_path(p, agent, other) == (-1 if path is None else path.arrive[-1])
+    if path is not None:
+        table.add(path)
+        assert other.path(agent.agv) == path
+    assert intervals(other) == intervals(table)
+
+
+@settings(max_examples=100, deadline=None)
+@given(crossings(), st.sets(st.integers(1, 2)))
+def test_paths_taken_out_of_a_table_and_put_back_leave_it_as_it_was(p, taken):
+    table, rest = search(p, p.agents[0], p.fixed)[1], search(p, p.agents[0])[1]
+    before = intervals(table)
+    words = table.take(sorted(taken))
+    for path in p.fixed:
+        if path.agv not in taken:
+            rest.add(path)
+    assert intervals(table) == intervals(rest)
+    table.put(words, len(taken))
+    assert intervals(table) == before
+    assert [table.path(path.agv) for path in p.fixed] == list(p.fixed)
+    stay = [path for path in p.fixed if path.until == FOREVER]
+    assert sorted(table.rests(but=1)) == sorted(path.vertices[-1] for path in stay if path.agv != 1)
+
+
+@settings(max_examples=100, deadline=None)
+@given(crossings(), st.integers(0, 12))
+def test_a_path_that_arrives_in_time_is_found_though_later_ones_are_not_looked_for(p, sooner):
+    agent = p.agents[0]
+    finder, table = search(p, agent, p.fixed)
+    arrival = finder.reserve_path(p, agent, table)
+    table.remove(agent.agv)
+    again = finder.reserve_path(p, agent, table, latest=arrival - sooner)
+    assert again == arrival or (sooner and again < 0)
+
+
+@settings(max_examples=50, deadline=None)
+@given(problems(largest=8, agents=1, window=FOREVER))
+def test_distances_prepared_are_those_found_when_asked_for(p):
+    masks = p.blocked, np.zeros_like(p.blocked), p.blocked
+    prepared, lazy = (Distances(Space(p.graph, p.motion)) for _ in range(2))
+    prepared.update(p.blocked)
+    prepared.prepare(range(len(p.graph.names)))
+    for blocked in masks:
+        prepared.update(blocked)
+        lazy.update(blocked)
+        for goal in range(len(p.graph.names)):
+            for edge, head in enumerate(p.graph.head.tolist()):
+                assert prepared.distance(head, edge, goal, True) == lazy.distance(head, edge, goal, True)
 
 
 @settings(max_examples=100, deadline=None)
@@ -274,10 +337,13 @@ def test_searches_leave_the_references_to_their_tables_as_they_were():
     agent = replace(p.agents[0], goal=2)
     finder, table = search(p, agent)
     field = finder.distances.field(agent.goal, agent.loaded, agent.vertex)
-    arrays = [table.rows, table.count, *field, *finder.distances.space.lanes]
+    arrays = [*table.reserved, *field, *finder.distances.space.lanes]
     before = [sys.getrefcount(array) for array in arrays]
     for _ in range(1000):
         assert finder.find_path(p, agent, table) is not None
+        assert finder.reserve_path(p, agent, table) >= 0
+        table.put(table.take((agent.agv,)), 1)
+        table.remove(agent.agv)
     assert [sys.getrefcount(array) for array in arrays] == before
 
 

@@ -13,39 +13,37 @@ new goals. Departures from the paper: one kind of neighbourhood, and a number of
 from __future__ import annotations
 
 import random
+import struct
 from collections.abc import Mapping, Sequence
-from itertools import chain
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controller.kernel import kernel
-from controller.search.reservations import AGENT, END, START, ReservationTable
+from controller.search.reservations import (
+    AGENT,
+    EACH,
+    END,
+    HEAD,
+    OWNER,
+    PLACE,
+    SPANS,
+    START,
+    ReservationTable,
+    Reserved,
+)
 from controller.search.sipp import PathSearch
 from controller.search.space import Lanes
-from controller.types import FOREVER, Path, PlanAgent, PlanningProblem
+from controller.types import FOREVER, PlanAgent, PlanningProblem
 from sumo_nets.graph import IntArray
 
 #: At most so many others are planned again with an agent.
 NEIGHBOURS = 4
 #: Room for those that an agent meets, itself included.
 MOST_MET = 32
-
-
-class _Waits(NamedTuple):
-    """Where agents wait on their paths.
-
-    Attributes:
-        path: number of the path among those asked for, shape (k,).
-        vertex: what they wait for, shape (k,).
-        first, last: the steps in which they could set out and in which they do, shape (k,).
-    """
-
-    path: NDArray[np.int64]
-    vertex: IntArray
-    first: IntArray
-    last: IntArray
+#: Columns of what is told of agents: AGV number, edge come by, first step at which it can leave, 1 if loaded.
+AGV, CAME, READY, LOADED = 0, 1, 2, 3
+#: Columns of what is found out about their paths: steps waited on the way, step of arrival.
+WAITED, ARRIVAL = 0, 1
 
 
 class Improvement:
@@ -54,8 +52,7 @@ class Improvement:
     Args:
         problem: what was planned; ``search.begin`` must have been called with it.
         agents: those that may be planned again, by AGV number.
-        paths: path of each of them, ending at its goal; changed in place.
-        table: the reservations of these paths and of all others; changed in place.
+        table: the reservations of their paths, which end at their goals, and of all others; changed in place.
         search: finds paths.
         looked: how often each agent has been looked at in vain; those looked at least come first. Changed in place.
 
@@ -68,19 +65,18 @@ class Improvement:
         self,
         problem: PlanningProblem,
         agents: Mapping[int, PlanAgent],
-        paths: dict[int, Path],
         table: ReservationTable,
         search: PathSearch,
         looked: dict[int, int],
     ) -> None:
         self.problem = problem
         self.agents = agents
-        self.paths = paths
         self.table = table
         self.search = search
         self.looked = looked
         self.changed: set[int] = set()
         self.tried, self.taken = 0, 0
+        self._lanes = search.distances.space.lanes
 
     def run(self, tries: int, threshold: int) -> None:
         """Try so many neighbourhoods of agents that are late by more than ``threshold`` steps."""
@@ -103,67 +99,61 @@ class Improvement:
 
     def _late(self, lateness: Mapping[int, int], threshold: int) -> list[int]:
         """AGVs that are too late, those looked at least first, then the latest."""
-        late = (agv for agv in lateness if lateness[agv] > threshold)
+        late = [agv for agv, steps in lateness.items() if steps > threshold]
         return sorted(late, key=lambda agv: (self.looked.get(agv, 0), -lateness[agv], agv))
 
     def _lateness(self, agvs: Sequence[int]) -> dict[int, int]:
         """For how many steps each of these AGVs waits on its way, all in all."""
-        waits = self._waits(agvs)
-        late = np.zeros(len(agvs), dtype=np.int64)
-        np.add.at(late, waits.path, waits.last - waits.first)
-        return dict(zip(agvs, late.tolist(), strict=True))
+        return dict(zip(agvs, self._paths_of(agvs)[:, WAITED].tolist(), strict=True))
 
-    def _waits(self, agvs: Sequence[int]) -> _Waits:
-        """Where these AGVs wait, path after path."""
-        agents, paths = [self.agents[agv] for agv in agvs], [self.paths[agv] for agv in agvs]
-        moves = np.fromiter((len(path.depart) for path in paths), dtype=np.int32, count=len(paths))
-        way, arrive, depart = (
-            np.fromiter(chain.from_iterable(times), dtype=np.int32)
-            for times in ((p.vertices for p in paths), (p.arrive for p in paths), (p.depart for p in paths))
-        )
-        now = np.array([(a.in_edge, a.ready_step, a.loaded) for a in agents], dtype=np.int32).reshape(-1, 3)
-        vertex, could = np.empty_like(depart), np.empty_like(depart)
-        _set_out(moves, way, arrive, now, self.search.distances.space.lanes, vertex, could)
-        waiting = depart > could
-        which = np.repeat(np.arange(len(agvs)), moves)
-        return _Waits(which[waiting], vertex[waiting], could[waiting], depart[waiting])
+    def _paths_of(self, agvs: Sequence[int]) -> IntArray:
+        """Steps waited and arrival of each of these AGVs, see ``WAITED`` and ``ARRIVAL``."""
+        found = np.empty((len(agvs), 2), dtype=np.int32)
+        _look_at(self._told_of(agvs), self.table.reserved, self._lanes, found)
+        return found
+
+    def _told_of(self, agvs: Sequence[int]) -> IntArray:
+        """What kernels have to know of these AGVs, a row each."""
+        numbers: list[int] = []
+        for agv in agvs:
+            a = self.agents[agv]
+            numbers += (agv, a.in_edge, a.ready_step, a.loaded)
+        packed = bytearray(struct.pack(f"{len(numbers)}i", *numbers))
+        return np.frombuffer(packed, dtype=np.int32).reshape(-1, 4)
 
     def _in_the_way(self, agv: int, threshold: int) -> list[int]:
         """Those whom the agent waits for, in the order of meeting."""
-        _, vertices, first, last = self._waits([agv])
-        return self._met(agv, vertices, first, last)
+        met = np.empty(MOST_MET, dtype=np.int32)
+        return self._neighbours(agv, met, 0)
 
-    def _met(self, agv: int, vertices: IntArray, first: IntArray, last: IntArray) -> list[int]:
-        """Whom an agent meets at some vertices, each between two steps."""
-        found = np.empty(MOST_MET, dtype=np.int32)
-        k = _meet(vertices, first, last, self.table.rows, self.table.count, found)
-        return [other for other in found[:k].tolist() if other != agv and other in self.agents][:NEIGHBOURS]
+    def _neighbours(self, agv: int, met: IntArray, k: int) -> list[int]:
+        """Those of the first ``k`` of ``met`` and those whom the agent waits for that may be planned again with it."""
+        k = _meet_waiting(self._told_of([agv]), self.table.reserved, self._lanes, met, k)
+        return [other for other in met[:k].tolist() if other != agv and other in self.agents][:NEIGHBOURS]
 
     def _again(self, order: list[int]) -> bool:
         """Plan again in this order; whether that is better."""
-        old = {agv: self.paths[agv] for agv in order}
-        allowed = sum(path.arrive[-1] for path in old.values())
-        spent = 0
+        old = self.table.take(order)
+        least = [self._alone(self.agents[agv]) for agv in order]
+        spare = _arrivals(old) - 1 - sum(least)  # steps that they may arrive later than alone, all in all
+        for agv, alone in zip(order, least, strict=True):
+            arrival = self.search.reserve_path(self.problem, self.agents[agv], self.table, latest=alone + spare)
+            spare -= arrival - alone
+            if arrival < 0 or spare < 0:
+                break
+        else:
+            self.changed.update(order)
+            return True
         for agv in order:
             self.table.remove(agv)
-        new: dict[int, Path] = {}
-        for agv in order:
-            path = self.search.find_path(self.problem, self.agents[agv], self.table)
-            if path is None or spent + path.arrive[-1] >= allowed:
-                break
-            spent += path.arrive[-1]
-            new[agv] = path
-            self.table.add(path)
-        better = len(new) == len(order)
-        if better:
-            self.paths.update(new)
-            self.changed.update(order)
-        else:
-            for agv in new:
-                self.table.remove(agv)
-            for path in old.values():
-                self.table.add(path)
-        return better
+        self.table.put(old, len(order))
+        return False
+
+    def _alone(self, agent: PlanAgent) -> int:
+        """When an agent would arrive at the earliest, as far as is known without a search."""
+        if agent.vertex == agent.goal:
+            return 0
+        return agent.ready_step + self.search.distances.known(agent.vertex, agent.in_edge, agent.goal, agent.loaded)
 
 
 class Detours(Improvement):
@@ -171,12 +161,8 @@ class Detours(Improvement):
 
     def _lateness(self, agvs: Sequence[int]) -> dict[int, int]:
         """How many steps later each of these AGVs arrives than if it were alone, as far as is known unsearched."""
-        steps = {}
-        for agv in agvs:
-            a = self.agents[agv]
-            alone = a.ready_step + self.search.distances.known(a.vertex, a.in_edge, a.goal, a.loaded)
-            steps[agv] = self.paths[agv].arrive[-1] - alone
-        return steps
+        arrivals = self._paths_of(agvs)[:, ARRIVAL].tolist()
+        return {agv: arrival - self._alone(self.agents[agv]) for agv, arrival in zip(agvs, arrivals, strict=True)}
 
     def _in_the_way(self, agv: int, threshold: int) -> list[int]:
         """Those whom the agent would meet if it went as if it were alone, and those it waits for as it goes.
@@ -184,62 +170,116 @@ class Detours(Improvement):
         Nobody if it turns out that even alone it would hardly be earlier.
         """
         nobody = ReservationTable(len(self.problem.graph.names), self.table.following, capacity=1)
-        alone = self.search.find_path(self.problem, self.agents[agv], nobody)
-        if alone is None or self.paths[agv].arrive[-1] <= alone.arrive[-1] + threshold:
+        alone = self.search.reserve_path(self.problem, self.agents[agv], nobody)
+        if alone < 0 or self._paths_of([agv])[0, ARRIVAL] <= alone + threshold:
             return []
-        _, vertices, first, last = self._waits([agv])
-        way, arrive = (np.array(part, dtype=np.int32) for part in (alone.vertices, (*alone.arrive, FOREVER)))
-        legs = (way, arrive[:-1] + 1, arrive[1:])
-        return self._met(agv, *(np.concatenate(pair) for pair in zip(legs, (vertices, first, last), strict=True)))
+        met = np.empty(MOST_MET, dtype=np.int32)
+        return self._neighbours(agv, met, _meet_on_way(nobody.reserved, self.table.reserved, met))
 
 
 @kernel
-def _set_out(
-    moves: IntArray, way: IntArray, arrive: IntArray, now: IntArray, lanes: Lanes, vertex: IntArray, could: IntArray
-) -> None:
-    """For each move of several paths, one after the other in the arrays, where to and when it could have begun.
+def _look_at(told: IntArray, reserved: Reserved, lanes: Lanes, found: IntArray) -> None:
+    """How long agents wait on the paths reserved for them, and when they arrive.
 
     Args:
-        moves: number of moves of each path.
-        way, arrive: as in ``Path``, one entry more than moves for each path.
-        now: edge come by, first step at which the agent can leave, 1 if loaded; a row each.
+        told: a row for each agent, see ``AGV``.
+        reserved: the table; each has one path in it.
         lanes: the garage.
-        vertex, could: filled, an entry for each move.
+        found: filled, a row for each agent, see ``WAITED``.
     """
-    k = 0
-    for i in range(len(moves)):
-        came, ready, loaded = now[i, 0], now[i, 1], now[i, 2]
-        for j in range(k, k + moves[i]):
-            u, v = way[i + j], way[i + j + 1]
-            edge = lanes.first_out[u]
-            while lanes.head[edge] != v:
-                edge += 1
-            if came >= 0:
-                ready += lanes.turn_steps[loaded, lanes.first_transition[came] + edge - lanes.first_out[u]]
-            vertex[j], could[j] = v, ready
-            came, ready = edge, arrive[i + j + 1]
-        k += moves[i]
+    span = -1
+    for i in range(len(told)):
+        span = _span_of(told[i, AGV], span + 1, reserved)
+        place = reserved.spans[span, PLACE]
+        n = reserved.words[place + 1]
+        waited, came, ready = 0, told[i, CAME], told[i, READY]
+        for k in range(n - 1):
+            came, could = _set_out(place, k, came, ready, told[i, LOADED], reserved.words, lanes)
+            waited += reserved.words[place + HEAD + 2 * n + k] - could
+            ready = reserved.words[place + HEAD + n + k + 1]
+        found[i, WAITED] = waited
+        found[i, ARRIVAL] = reserved.words[place + HEAD + 2 * n - 1]
 
 
 @kernel
-def _meet(vertices: IntArray, first: IntArray, last: IntArray, rows: IntArray, count: IntArray, met: IntArray) -> int:
-    """Who owns some vertices between two steps each, those who end or begin just then included; how many there are.
+def _span_of(agv: int, first: int, reserved: Reserved) -> int:
+    """Where an agent's path is among ``spans``, looked for from ``first`` on: they mostly are in order."""
+    n = reserved.used[SPANS]
+    span = first if first < n else 0
+    while reserved.spans[span, OWNER] != agv:
+        span = span + 1 if span + 1 < n else 0
+    return span
+
+
+@kernel
+def _set_out(place: int, k: int, came: int, ready: int, loaded: int, words: IntArray, lanes: Lanes) -> tuple[int, int]:
+    """Edge of the k-th move of a path, and when the move could begin: after the turn from the edge come by."""
+    u, v = words[place + HEAD + k], words[place + HEAD + k + 1]
+    edge = lanes.first_out[u]
+    while lanes.head[edge] != v:
+        edge += 1
+    if came >= 0:
+        ready += lanes.turn_steps[loaded, lanes.first_transition[came] + edge - lanes.first_out[u]]
+    return edge, ready
+
+
+@kernel
+def _meet_waiting(told: IntArray, reserved: Reserved, lanes: Lanes, met: IntArray, n: int) -> int:
+    """Whom one agent waits for on its path; added to ``met``, see :func:`_meet`."""
+    place = reserved.spans[_span_of(told[0, AGV], 0, reserved), PLACE]
+    words, length = reserved.words, reserved.words[place + 1]
+    way, arrive, leave = place + HEAD, place + HEAD + length, place + HEAD + 2 * length
+    came, ready = told[0, CAME], told[0, READY]
+    for k in range(length - 1):
+        came, could = _set_out(place, k, came, ready, told[0, LOADED], words, lanes)
+        if words[leave + k] > could:
+            n = _meet(words[way + k + 1], could, words[leave + k], reserved, met, n)
+        ready = words[arrive + k + 1]
+    return n
+
+
+@kernel
+def _meet_on_way(alone: Reserved, reserved: Reserved, met: IntArray) -> int:
+    """Whom an agent would meet on the one path that is in the table ``alone``; how many there are."""
+    words, length = alone.words, alone.words[1]
+    n = 0
+    for k in range(length):
+        last = words[HEAD + length + k + 1] if k + 1 < length else FOREVER
+        n = _meet(words[HEAD + k], words[HEAD + length + k] + 1, last, reserved, met, n)
+    return n
+
+
+@kernel
+def _meet(v: int, first: int, last: int, reserved: Reserved, met: IntArray, n: int) -> int:
+    """Who owns a vertex between two steps, those who end or begin just then included.
 
     Args:
-        vertices, first, last: where and when.
-        rows, count: the reservations.
-        met: filled with agents in the order of meeting, as far as there is room.
+        v, first, last: where and when.
+        reserved: the table.
+        met: agents in the order of meeting; new ones are added as far as there is room.
+        n: number of agents in ``met`` so far.
+
+    Returns:
+        Number of agents in ``met``.
     """
-    n = 0
-    for i in range(len(vertices)):
-        v = vertices[i]
-        for k in range(count[v]):
-            if rows[v, k, START] > last[i] or rows[v, k, END] < first[i]:
-                continue
-            j = 0
-            while j < n and met[j] != rows[v, k, AGENT]:
-                j += 1
-            if j == n and n < len(met):
-                met[n] = rows[v, k, AGENT]
-                n += 1
+    for k in range(reserved.counts[v]):
+        if reserved.rows[v, k, START] > last or reserved.rows[v, k, END] < first:
+            continue
+        j = 0
+        while j < n and met[j] != reserved.rows[v, k, AGENT]:
+            j += 1
+        if j == n and n < len(met):
+            met[n] = reserved.rows[v, k, AGENT]
+            n += 1
     return n
+
+
+@kernel
+def _arrivals(words: IntArray) -> int:
+    """Sum of the arrivals of packed paths."""
+    total, place = 0, 0
+    while place < len(words):
+        n = words[place + 1]
+        total += words[place + HEAD + 2 * n - 1]
+        place += HEAD + EACH * n
+    return total

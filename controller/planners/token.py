@@ -28,7 +28,7 @@ from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
 from controller.search.space import Space
-from controller.types import FOREVER, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from controller.types import FOREVER, Counters, Motion, PlanAgent, PlanningProblem, PlanResult, Status
 from sumo_nets.graph import Graph, IntArray
 
 
@@ -101,6 +101,11 @@ class Token:
         self._looked: dict[int, int] = {}
         self._cuts: dict[int, _Cut] = {}
 
+    @property
+    def distances(self) -> Distances:
+        """The distances that the last call went by."""
+        return self._search.distances
+
     def __call__(self, problem: PlanningProblem) -> PlanResult:
         """Plan for the agents of a problem.
 
@@ -115,36 +120,46 @@ class Token:
         self._search.distances.counters[:] = 0
         self._search.begin(problem)
         self.table.reset(problem.fixed)
-        carried = {path.agv: path for path in problem.fixed}
         waiting = sorted(problem.agents, key=lambda agent: (-agent.priority, agent.agv))
-        paths: dict[int, Path] = {}
+        planned: dict[int, PlanAgent] = {}
         failed: dict[int, int] = {}
         for _ in range(self.options.passes):
             failed = {}
             for agent in waiting:
-                cut = self._cuts.get(agent.agv)
-                if cut is not None and cut.holds(agent, self._closed_for(agent, carried | paths, problem)):
-                    failed[agent.agv] = cut.blocker
-                    continue
-                found = self._replace(agent, carried.get(agent.agv), problem)
-                if found is None:
-                    failed[agent.agv] = self._search.blocker
-                    self._cuts[agent.agv] = self._cut(agent, self._closed_for(agent, carried | paths, problem))
+                blocker = self._plan(agent, problem)
+                if blocker is None:
+                    planned[agent.agv] = agent
                 else:
-                    paths[agent.agv] = found
+                    failed[agent.agv] = blocker
             waiting = [agent for agent in waiting if agent.agv in failed]
             if not waiting:
                 break
-        if self.improves:
-            self._improve(problem, carried, paths)
+        changed = self._improve(problem, planned) if self.improves else ()
+        paths = {agv: self.table.path(agv) for agv in (*planned, *changed)}
         counters = Counters(*self._search.distances.counters.tolist())
         return PlanResult(Status.PARTIAL if failed else Status.SOLVED, paths, failed, counters)
 
-    def _closed_for(self, agent: PlanAgent, paths: dict[int, Path], problem: PlanningProblem) -> NDArray[np.uint8]:
+    def _plan(self, agent: PlanAgent, problem: PlanningProblem) -> int | None:
+        """Reserve a new path instead of the one carried out so far; if there is none, that one stays.
+
+        Returns:
+            None, or who is in the way.
+        """
+        cut = self._cuts.get(agent.agv)
+        if cut is not None and cut.holds(agent, self._closed_for(agent, problem)):
+            return cut.blocker
+        carried = self.table.take((agent.agv,))
+        if self._search.reserve_path(problem, agent, self.table) >= 0:
+            return None
+        self.table.put(carried, 1)
+        self._cuts[agent.agv] = self._cut(agent, self._closed_for(agent, problem))
+        return self._search.blocker
+
+    def _closed_for(self, agent: PlanAgent, problem: PlanningProblem) -> NDArray[np.uint8]:
         """Vertices that an agent can never drive through, shape (n,): where others rest, and what is blocked."""
         closed = problem.blocked.copy()
         closed[agent.goal] = 0
-        closed[[path.vertices[-1] for n, path in paths.items() if n != agent.agv and path.until >= FOREVER]] = 1
+        closed[self.table.rests(but=agent.agv)] = 1
         return closed
 
     def _cut(self, agent: PlanAgent, closed: NDArray[np.uint8]) -> _Cut:
@@ -152,25 +167,15 @@ class Token:
         around = closed_around(agent.vertex, agent.goal, closed, space.lanes, counters)
         return _Cut(agent.vertex, agent.goal, self._search.blocker, around)
 
-    def _improve(self, problem: PlanningProblem, carried: dict[int, Path], paths: dict[int, Path]) -> None:
-        """Improve the plan of all that have a path to their goal; paths that change are added to ``paths``."""
-        everybody = carried | paths
-        agents = {a.agv: a for a in problem.carrying if a.agv in carried and carried[a.agv].vertices[-1] == a.goal}
-        agents |= {a.agv: a for a in problem.agents if a.agv in paths}
+    def _improve(self, problem: PlanningProblem, planned: dict[int, PlanAgent]) -> set[int]:
+        """Improve the plan of all that have a path to their goal; those whose path has changed."""
+        ends = {path.agv: path.vertices[-1] for path in problem.fixed}
+        agents = {a.agv: a for a in problem.carrying if ends.get(a.agv) == a.goal} | planned
         self._looked.update({agent.agv: 0 for agent in problem.agents})
         make = Detours if self.options.detours else Improvement
-        improvement = make(problem, agents, everybody, self.table, self._search, self._looked)
+        improvement = make(problem, agents, self.table, self._search, self._looked)
         improvement.run(self.options.improvements, self._threshold)
-        paths.update({agv: everybody[agv] for agv in improvement.changed})
-
-    def _replace(self, agent: PlanAgent, carried: Path | None, problem: PlanningProblem) -> Path | None:
-        """A new path in the table instead of the carried one; if there is none the carried one stays."""
-        self.table.remove(agent.agv)
-        path = self._search.find_path(problem, agent, self.table)
-        keep = path or carried
-        if keep is not None:
-            self.table.add(keep)
-        return path
+        return improvement.changed
 
 
 def _fleet(problem: PlanningProblem) -> int:

@@ -14,6 +14,7 @@ from the table, and searched for only when somebody asks for more.
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -71,7 +72,8 @@ class Distances:
         self.space = space
         self._ends = np.zeros(len(space.lanes.xy), dtype=np.uint8) if ends is None else ends
         self._landmarks = Landmarks(space, self._ends)
-        self._whole: dict[tuple[int, bool], Field] | None = {} if whole else None
+        self._whole = whole
+        self._ready: dict[tuple[int, bool], Field] = {}
         motion = space.motion
         self._speeds_differ = bool(
             (motion.edge_steps[0] != motion.edge_steps[1]).any() or (motion.turn_steps[0] != motion.turn_steps[1]).any()
@@ -83,18 +85,36 @@ class Distances:
 
     def update(self, blocked: NDArray[np.uint8]) -> None:
         """Take over a new set of blocked vertices and drop the fields that would not be the same any more."""
+        if blocked.tobytes() == self.blocked.tobytes():
+            return
         changed = np.flatnonzero(blocked != self.blocked).astype(np.int32)
         self.blocked[:] = blocked
-        if len(changed):
-            lanes = self.space.lanes
-            for key in [k for k, field in self._fields.items() if _differs(changed, field, lanes, self.blocked)]:
-                del self._fields[key]
+        lanes = self.space.lanes
+        for key in [k for k, field in self._fields.items() if _differs(changed, field, lanes, self.blocked)]:
+            del self._fields[key]
+        if not self._whole:
+            for ready in [k for k, field in self._ready.items() if _differs(changed, field, lanes, self.blocked)]:
+                del self._ready[ready]
+
+    def prepare(self, goals: Iterable[int]) -> None:
+        """Find all distances to these vertices now, not when they are first asked for, as far as memory allows.
+
+        With a field for each end point, memory and time grow with the square of the garage. Public solvers do so before
+        their clock runs.
+        """
+        wanted = [(goal, loaded) for goal in goals for loaded in {False, self._speeds_differ}]
+        for goal, loaded in wanted[: self._cap]:
+            self._make_ready(goal, loaded)
+            self._landmarks.bounds(goal, loaded)
 
     def field(self, goal: int, loaded: bool, asker: int) -> Field:
         """The field of a goal, new ones aimed at the vertex ``asker``."""
         loaded = loaded and self._speeds_differ
-        if self._whole is not None and goal in self._landmarks.vertices:
-            return self._whole_field(goal, loaded, self._whole)
+        field = self._ready.get((goal, loaded))
+        if field is not None:
+            return field
+        if self._whole and goal in self._landmarks.vertices:
+            return self._make_ready(goal, loaded)
         key = (goal, loaded, asker if self._goes_straight(asker, goal) else -1)
         field = self._fields.get(key)
         if field is None:
@@ -145,11 +165,11 @@ class Distances:
         """A field of its own, by the asker's table, pays where few others will ask for this goal."""
         return asker in self._landmarks.vertices and goal not in self._landmarks.vertices
 
-    def _whole_field(self, goal: int, loaded: bool, known: dict[tuple[int, bool], Field]) -> Field:
-        field = known.get((goal, loaded))
-        if field is None:
-            field = _whole(goal, loaded, self._ends, self.space.lanes, self.counters)
-            known[goal, loaded] = field
+    def _make_ready(self, goal: int, loaded: bool) -> Field:
+        """Find the whole field of a goal, which is used from now on."""
+        closed = self._ends if self._whole else self.blocked
+        field = _whole(goal, loaded, closed, self.space.lanes, self.counters)
+        self._ready[goal, loaded] = field
         return field
 
     def _new_field(self, goal: int, loaded: bool, asker: int) -> Field:
@@ -166,7 +186,7 @@ class Distances:
         return field
 
 
-def _whole(goal: int, loaded: bool, ends: NDArray[np.uint8], lanes: Lanes, counters: NDArray[np.int64]) -> Field:
+def _whole(goal: int, loaded: bool, blocked: NDArray[np.uint8], lanes: Lanes, counters: NDArray[np.int64]) -> Field:
     """A field without an aim, searched to its end."""
     field = Field(
         np.zeros((len(lanes.tail), 4), dtype=np.int32),
@@ -174,7 +194,7 @@ def _whole(goal: int, loaded: bool, ends: NDArray[np.uint8], lanes: Lanes, count
         np.zeros(4),
         np.zeros(0, dtype=np.int32),
     )
-    _close_all(field, lanes, ends, counters)
+    _close_all(field, lanes, blocked, counters)
     return field
 
 

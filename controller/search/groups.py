@@ -64,14 +64,14 @@ def with_path(group: Group, i: int, path: Path, following: bool, window: int) ->
 
 def load(table: ReservationTable, group: Group, chosen: IntArray, agvs: IntArray) -> None:
     """Reserve the paths of the chosen agents, until ``unload`` with the same arguments takes them out again."""
-    while not _load(table.rows, table.count, group.visits, group.lengths, chosen, agvs):
+    while not _load(table.reserved.rows, table.reserved.counts, group.visits, group.lengths, chosen, agvs):
         unload(table, group, chosen, agvs)
         table.grow()
 
 
 def unload(table: ReservationTable, group: Group, chosen: IntArray, agvs: IntArray) -> None:
     """Take back what ``load`` has reserved."""
-    _unload(table.rows, table.count, group.visits, group.lengths, chosen, agvs)
+    _unload(table.reserved.rows, table.reserved.counts, group.visits, group.lengths, chosen, agvs)
 
 
 @kernel

@@ -1,22 +1,51 @@
 """Who owns which vertex when: the reservation table of cooperative A* (Silver 2005), as intervals (SIPP, 2011).
 
 Each vertex has a row of disjoint occupied intervals ``[start, end)``, sorted by start. What is between them are the
-safe intervals of Phillips and Likhachev (2011).
+safe intervals of Phillips and Likhachev (2011). The table keeps the paths it was made from, as plain numbers one after
+the other, so that kernels can take them back, look at them and reserve them again.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import accumulate, chain
+from typing import NamedTuple
 
 import numpy as np
 
 from controller.kernel import kernel
-from controller.types import Path
+from controller.types import FOREVER, Path
 from sumo_nets.graph import IntArray
 
-#: Columns of ``ReservationTable.rows``.
+#: Columns of ``Reserved.rows``.
 START, END, AGENT, NEXT = 0, 1, 2, 3
+#: Columns of ``Reserved.spans``.
+OWNER, PLACE = 0, 1
+#: Places of ``Reserved.used``.
+WORDS, SPANS = 0, 1
+#: Numbers before the vertices of a path, and for each vertex.
+HEAD, EACH = 2, 3
+
+
+class Reserved(NamedTuple):
+    """What kernels read and write of a table.
+
+    A path of n vertices is kept as its agent, n, the vertices, the arrivals, and the departures with the end of the
+    last vertex's occupation: ``HEAD + EACH * n`` numbers.
+
+    Attributes:
+        rows: shape (vertices, K, 4), int32: start, end, agent and the vertex it goes on to at the end (or -1).
+        counts: shape (vertices,), number of intervals of each vertex.
+        words: shape (W,), the paths.
+        spans: shape (S, 2), agent of each path and where the path begins in ``words``; in no order.
+        used: numbers used of ``words``, and paths.
+    """
+
+    rows: IntArray
+    counts: IntArray
+    words: IntArray
+    spans: IntArray
+    used: IntArray
 
 
 class ReservationTable:
@@ -26,47 +55,65 @@ class ReservationTable:
 
     Attributes:
         following: see ``Motion``; decides from when on a path owns a vertex.
-        rows: shape (n, K, 4), int32: start, end, agent and the vertex it goes on to at the end (or -1).
-        count: shape (n,), number of intervals of each vertex.
+        reserved: the arrays; others whenever room has run out.
     """
 
     def __init__(self, n: int, following: bool, capacity: int = 8) -> None:
         self.following = following
-        self.rows: IntArray = np.zeros((n, capacity, 4), dtype=np.int32)
-        self.count: IntArray = np.zeros(n, dtype=np.int32)
-        self._touched: dict[int, list[IntArray]] = {}
+        self.reserved = Reserved(
+            np.zeros((n, capacity, 4), dtype=np.int32),
+            np.zeros(n, dtype=np.int32),
+            np.zeros(4096, dtype=np.int32),
+            np.zeros((64, 2), dtype=np.int32),
+            np.zeros(2, dtype=np.int32),
+        )
 
     def reset(self, paths: Sequence[Path] = ()) -> None:
         """Take back everything, then reserve these paths; quicker than one by one."""
-        self.count[:] = 0
-        self._touched.clear()
-        first = list(accumulate((len(path.vertices) for path in paths), initial=0))
-        vertices = _flat((path.vertices for path in paths), first[-1])
-        arrive = _flat((path.arrive for path in paths), first[-1])
-        leave = _flat(((*path.depart, path.until) for path in paths), first[-1])
-        for path, a, b in zip(paths, first, first[1:], strict=False):
-            self._note(path.agv, vertices[a:b])
-        agvs = np.array([path.agv for path in paths], dtype=np.int32)
-        self._reserve(np.array(first, dtype=np.int32), vertices, np.stack((arrive, leave)), agvs)
+        self.reserved.counts[:] = 0
+        self.reserved.used[:] = 0
+        self.put(_packed(paths), len(paths))
 
     def add(self, path: Path) -> None:
         """Reserve all vertices of a path for its agent."""
-        vertices = np.array(path.vertices, dtype=np.int32)
-        self._note(path.agv, vertices)
-        times = np.array((path.arrive, (*path.depart, path.until)), dtype=np.int32)
-        first, agvs = (np.array(part, dtype=np.int32) for part in ((0, len(vertices)), (path.agv,)))
-        self._reserve(first, vertices, times, agvs)
+        self.put(_packed((path,)), 1)
 
     def hold(self, vertex: int, start: int, end: int, agv: int) -> None:
         """Reserve one vertex for the steps ``start`` to ``end`` (exclusive)."""
-        self._note(agv, np.array([vertex], dtype=np.int32))
-        while not fill(self.rows, self.count, vertex, start, end, agv, -1):
+        self.put(np.array((agv, 1, vertex, start, end), dtype=np.int32), 1)
+
+    def put(self, words: IntArray, paths: int) -> None:
+        """Reserve so many paths, given as the table keeps them, see ``Reserved``."""
+        self.make_room(len(words), paths)
+        done = 0
+        while True:
+            done = _put(words, done, self.reserved, self.following)
+            if done == len(words):
+                return
             self.grow()
+
+    def take(self, agvs: Sequence[int]) -> IntArray:
+        """Take back all reservations of some agents; their paths, for :meth:`put`."""
+        words = np.empty(self.reserved.used[WORDS], dtype=np.int32)
+        return words[: _take(np.array(agvs, dtype=np.int32), self.reserved, words)]
 
     def remove(self, agv: int) -> None:
         """Take back all reservations of an agent; nothing happens if it has none."""
-        for vertices in self._touched.pop(agv, ()):
-            _remove(self.rows, self.count, vertices, agv)
+        _remove(agv, self.reserved)
+
+    def path(self, agv: int) -> Path:
+        """The path reserved for an agent that has one."""
+        words, spans, used = self.reserved.words, self.reserved.spans, self.reserved.used
+        at = int(spans[spans[: used[SPANS], OWNER].tolist().index(agv), PLACE])
+        n = int(words[at + 1])
+        numbers = words[at + HEAD : at + HEAD + EACH * n].tolist()
+        vertices, arrive, leave = tuple(numbers[:n]), tuple(numbers[n : 2 * n]), numbers[2 * n :]
+        return Path(agv, vertices, arrive, tuple(leave[:-1]), leave[-1])
+
+    def rests(self, but: int) -> IntArray:
+        """Vertices where somebody rests for ever, but for one agent."""
+        vertices = np.empty(self.reserved.used[SPANS], dtype=np.int32)
+        return vertices[: _rests(but, self.reserved, vertices)]
 
     def owner(self, vertex: int, step: int) -> int:
         """Agent that owns a vertex at a step, -1 if it is free."""
@@ -77,27 +124,34 @@ class ReservationTable:
 
     def intervals(self, vertex: int) -> Iterator[tuple[int, int, int]]:
         """The (start, end, agent) of a vertex, in order of time."""
-        for row in self.rows[vertex, : self.count[vertex]].tolist():
+        for row in self.reserved.rows[vertex, : self.reserved.counts[vertex]].tolist():
             yield row[START], row[END], row[AGENT]
 
-    def _reserve(self, first: IntArray, vertices: IntArray, times: IntArray, agvs: IntArray) -> None:
-        done = 0
-        while True:
-            done = _add(self.rows, self.count, first, vertices, times, agvs, self.following, done)
-            if done == len(vertices):
-                return
-            self.grow()
-
-    def _note(self, agv: int, vertices: IntArray) -> None:
-        self._touched.setdefault(agv, []).append(vertices)
+    def make_room(self, words: int, paths: int) -> None:
+        """See to it that so many more numbers and paths can be kept."""
+        r = self.reserved
+        if r.used[WORDS] + words > len(r.words):
+            r = r._replace(words=np.concatenate((r.words, np.zeros(len(r.words) + words, dtype=np.int32))))
+        if r.used[SPANS] + paths > len(r.spans):
+            r = r._replace(spans=np.concatenate((r.spans, np.zeros((len(r.spans) + paths, 2), dtype=np.int32))))
+        self.reserved = r
 
     def grow(self) -> None:
         """Double the room for intervals."""
-        self.rows = np.concatenate((self.rows, np.zeros_like(self.rows)), axis=1)
+        rows = self.reserved.rows
+        self.reserved = self.reserved._replace(rows=np.concatenate((rows, np.zeros_like(rows)), axis=1))
 
 
-def _flat(parts: Iterable[Iterable[int]], length: int) -> IntArray:
-    return np.fromiter(chain.from_iterable(parts), dtype=np.int32, count=length)
+def _packed(paths: Iterable[Path]) -> IntArray:
+    """Paths as a table keeps them."""
+    words: list[int] = []
+    for path in paths:
+        words += (path.agv, len(path.vertices))
+        words += path.vertices
+        words += path.arrive
+        words += path.depart
+        words.append(path.until)
+    return np.frombuffer(bytearray(struct.pack(f"{len(words)}i", *words)), dtype=np.int32)
 
 
 @kernel
@@ -127,35 +181,87 @@ def fill(rows: IntArray, count: IntArray, v: int, start: int, end: int, agv: int
 
 
 @kernel
-def _add(
-    rows: IntArray, count: IntArray, first: IntArray, vertices: IntArray, times: IntArray, agvs: IntArray,
-    following: bool, done: int,
-) -> int:  # fmt: skip
-    """Add the occupations of several paths from entry ``done`` on; the entry up to which there was room.
-
-    Args:
-        rows, count: the table.
-        first: where each path begins among the entries, and their number.
-        vertices: of all entries, path after path.
-        times: rows arrival and departure; for the end of a path, until when it stays.
-        agvs: whose paths.
-        following: see ``Motion``.
-        done: entries that have been added.
-    """
-    for i in range(len(agvs)):
-        for k in range(max(first[i], done), first[i + 1]):
-            start = 0 if k == first[i] else (times[0, k] if following else times[1, k - 1])
-            last = k == first[i + 1] - 1
-            end = times[1, k] if last else times[0, k + 1]
-            if not fill(rows, count, vertices[k], start, end, agvs[i], -1 if last else vertices[k + 1]):
-                return k
-    return len(vertices)
+def _put(words: IntArray, done: int, reserved: Reserved, following: bool) -> int:
+    """Keep and reserve packed paths from number ``done`` on; the number up to which there was room for intervals."""
+    while done < len(words):
+        size = HEAD + EACH * words[done + 1]
+        place = reserved.used[WORDS]
+        for k in range(size):
+            reserved.words[place + k] = words[done + k]
+        if not keep(place, reserved, following):
+            return done
+        done += size
+    return done
 
 
 @kernel
-def _remove(rows: IntArray, count: IntArray, vertices: IntArray, agv: int) -> None:
-    for v in vertices:
-        drop(rows, count, v, agv)
+def keep(place: int, reserved: Reserved, following: bool) -> bool:
+    """Reserve the path that begins at a place behind all others in ``words``; False if some row has no room.
+
+    To be repeated then with more room: what has been reserved already is left as it is.
+    """
+    words, used = reserved.words, reserved.used
+    agv, n = words[place], words[place + 1]
+    way = place + HEAD
+    arrive, leave = way + n, way + 2 * n
+    for k in range(n):
+        start = words[arrive + k] if k == 0 or following else words[leave + k - 1]
+        last = k == n - 1
+        end = words[leave + k] if last else words[arrive + k + 1]
+        after = -1 if last else words[way + k + 1]
+        if not fill(reserved.rows, reserved.counts, words[way + k], start, end, agv, after):
+            return False
+    reserved.spans[used[SPANS], OWNER] = agv
+    reserved.spans[used[SPANS], PLACE] = place
+    used[SPANS] += 1
+    used[WORDS] = place + HEAD + EACH * n
+    return True
+
+
+@kernel
+def _take(agvs: IntArray, reserved: Reserved, out: IntArray) -> int:
+    """Take back the paths of some agents and copy them; how many numbers these are."""
+    size = 0
+    for agv in agvs:
+        for s in range(reserved.used[SPANS]):
+            if reserved.spans[s, OWNER] == agv:
+                place = reserved.spans[s, PLACE]
+                for k in range(HEAD + EACH * reserved.words[place + 1]):
+                    out[size] = reserved.words[place + k]
+                    size += 1
+        _remove(agv, reserved)
+    return size
+
+
+@kernel
+def _remove(agv: int, reserved: Reserved) -> None:
+    """Take back all paths of an agent; those at the end of ``words`` leave their room to others."""
+    words, spans, used = reserved.words, reserved.spans, reserved.used
+    for s in range(used[SPANS] - 1, -1, -1):
+        if spans[s, OWNER] != agv:
+            continue
+        place = spans[s, PLACE]
+        n = words[place + 1]
+        for k in range(place + HEAD, place + HEAD + n):
+            drop(reserved.rows, reserved.counts, words[k], agv)
+        if place + HEAD + EACH * n == used[WORDS]:
+            used[WORDS] = place
+        used[SPANS] -= 1
+        spans[s, OWNER] = spans[used[SPANS], OWNER]
+        spans[s, PLACE] = spans[used[SPANS], PLACE]
+
+
+@kernel
+def _rests(but: int, reserved: Reserved, vertices: IntArray) -> int:
+    """Where paths end that last for ever, but for those of one agent; how many these are."""
+    words, found = reserved.words, 0
+    for s in range(reserved.used[SPANS]):
+        place = reserved.spans[s, PLACE]
+        n = words[place + 1]
+        if reserved.spans[s, OWNER] != but and words[place + HEAD + EACH * n - 1] >= FOREVER:
+            vertices[found] = words[place + HEAD + n - 1]
+            found += 1
+    return found
 
 
 @kernel

@@ -24,8 +24,8 @@ before a bound, larger g, the older state.
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import NamedTuple
+from collections.abc import Callable, Collection
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -34,7 +34,19 @@ from numpy.typing import NDArray
 from controller.kernel import kernel
 from controller.search.distances import Distances, Field, at_least, closed, settle, start_at_least
 from controller.search.landmarks import Bounds
-from controller.search.reservations import AGENT, END, NEXT, START, ReservationTable
+from controller.search.reservations import (
+    AGENT,
+    EACH,
+    END,
+    HEAD,
+    NEXT,
+    START,
+    WORDS,
+    ReservationTable,
+    Reserved,
+    drop,
+    keep,
+)
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes
 from controller.types import FOREVER, NEVER, Path, PlanAgent, PlanningProblem
 from sumo_nets.graph import IntArray
@@ -46,12 +58,14 @@ from sumo_nets.graph import IntArray
 EDGE, VERTEX, SLOT, T, LEAVE, LAST, H, FKEY, PARENT, OLDER, STALE, FINAL, EXACT, TURNED = range(14)
 
 #: Places of the query that the kernel reads.
-Q_VERTEX, Q_EDGE, Q_READY, Q_GOAL, Q_LOADED, Q_WINDOW, Q_PENALTY, Q_FOLLOWING, Q_LIMIT, Q_SLACK = range(10)
+Q_AGV, Q_VERTEX, Q_EDGE, Q_READY, Q_GOAL, Q_LOADED, Q_DWELL = range(7)
+Q_WINDOW, Q_PENALTY, Q_FOLLOWING, Q_LIMIT, Q_SLACK, Q_LATEST = range(7, 13)
 
 _NO_BANS: IntArray = np.zeros((0, 2), dtype=np.int32)
 
-#: What the kernel answers instead of a node number.
-NONE, FULL, LIMIT = -1, -2, -3
+#: What kernels answer instead of a node number or an arrival: there is no path, the search memory is full, the search
+#: ended at its limit, the table has no room for the path.
+NONE, FULL, LIMIT, CROWDED = -1, -2, -3, -4
 
 
 class _Memory(NamedTuple):
@@ -90,8 +104,8 @@ class PathSearch:
         self.slack = slack
         self.blocker = -1
         self.limited = False
-        self._memory = _new_memory(1024, len(distances.space.lanes.xy))
         self._no_rest: NDArray[np.uint8] = np.zeros(len(distances.blocked), dtype=np.uint8)
+        self._remember(1024)
 
     def begin(self, problem: PlanningProblem) -> None:
         """Take over the blocked and no-rest vertices of a problem; to be called before the searches for it."""
@@ -119,53 +133,75 @@ class PathSearch:
         Returns:
             The path, or None (then see ``blocker`` and ``limited``).
         """
-        return self._search(problem, agent, table, agent.goal, forbidden, max_expansions)
+        query = self._query(problem, agent, limit=max_expansions)
+        bans = np.array(sorted(forbidden), dtype=np.int32).reshape(-1, 2) if forbidden else _NO_BANS
+        return self._path(self._run(_find, query, bans, agent, table), query)
+
+    def reserve_path(
+        self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable, latest: int = FOREVER
+    ) -> int:
+        """Reserve in the table what ``find_path`` would find.
+
+        Args:
+            problem, agent, table: as for ``find_path``.
+            latest: a path that arrives later is of no use: it may be reserved, too, or not.
+
+        Returns:
+            Step of arrival, -1 if there is no path.
+        """
+        query = self._query(problem, agent, latest=latest)
+        return self._run(_find_and_reserve, query, _NO_BANS, agent, table)
 
     def find_refuge(self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable) -> Path | None:
         """The agent's quickest way to any vertex where it is in nobody's way to the end of the window.
 
         Vertices with ``no_rest`` are not taken. Arguments and result as for ``find_path``; the goal is ignored.
         """
-        return self._search(problem, agent, table, -1, (), FOREVER)
+        query = self._query(problem, agent)
+        query[Q_GOAL] = -1
+        return self._path(self._run(_find, query, _NO_BANS, agent, table), query)
 
-    def _search(
-        self,
-        problem: PlanningProblem,
-        agent: PlanAgent,
-        table: ReservationTable,
-        goal: int,
-        forbidden: Collection[tuple[int, int]],
-        max_expansions: int,
-    ) -> Path | None:
+    def _query(
+        self, problem: PlanningProblem, agent: PlanAgent, limit: int = FOREVER, latest: int = FOREVER
+    ) -> IntArray:
         window = min(problem.window_steps, FOREVER)
-        query = np.array(
-            (agent.vertex, agent.in_edge, agent.ready_step, goal, agent.loaded, window, window // 4,
-             problem.motion.following, min(max_expansions, FOREVER), self.slack if window == FOREVER else 0),
+        slack = self.slack if window == FOREVER else 0
+        return np.array(
+            (agent.agv, agent.vertex, agent.in_edge, agent.ready_step, agent.goal, agent.loaded, agent.dwell_steps,
+             window, window // 4, problem.motion.following, min(limit, FOREVER), slack, min(latest + slack, FOREVER)),
             dtype=np.int32,
         )  # fmt: skip
-        d = self.distances
-        field = d.field(agent.goal, agent.loaded, agent.vertex)
-        bounds = d.bounds(agent.goal, agent.loaded)
-        bans = np.array(sorted(forbidden), dtype=np.int32).reshape(-1, 2) if forbidden else _NO_BANS
-        while True:
-            last = _sipp(
-                query, table.rows, table.count, bans, field, bounds, d.space.lanes, d.blocked, self._no_rest,
-                self._memory, d.counters,
-            )  # fmt: skip
-            if last != FULL:
-                break
-            self._memory = _new_memory(2 * len(self._memory.nodes), len(self._memory.newest))
-        self.limited = last == LIMIT
-        self.blocker = int(self._memory.meta[BLOCKER]) if last < 0 else -1
-        return self._path(last, agent, window) if last >= 0 else None
 
-    def _path(self, last: int, agent: PlanAgent, window: int) -> Path:
-        vertices, arrive, leave = _trace(last, self._memory.nodes).tolist()
-        until = window
-        if until < FOREVER:
-            until = max(until, arrive[-1] + (agent.dwell_steps if vertices[-1] == agent.goal else 0))
-        arrive[0] = 0
-        return Path(agent.agv, tuple(vertices), tuple(arrive), tuple(leave[1:]), until)
+    def _run(
+        self, search: Callable[..., int], query: IntArray, bans: IntArray, agent: PlanAgent, table: ReservationTable
+    ) -> int:
+        """What a kernel answers once there is room for it."""
+        d = self.distances
+        known = (*d.field(agent.goal, agent.loaded, agent.vertex), *d.bounds(agent.goal, agent.loaded))
+        while True:
+            table.make_room(HEAD + EACH * len(self._memory.nodes), 1)
+            answer = int(search(query, bans, (*table.reserved, *known, *self._arrays)))
+            if answer == FULL:
+                self._remember(2 * len(self._memory.nodes))
+            elif answer == CROWDED:
+                table.grow()
+            else:
+                break
+        self.limited = answer == LIMIT
+        self.blocker = int(self._memory.meta[BLOCKER]) if answer < 0 else -1
+        return answer
+
+    def _path(self, last: int, query: IntArray) -> Path | None:
+        if last < 0:
+            return None
+        vertices, arrive, leave = _trace(last, query, self._memory.nodes).tolist()
+        return Path(int(query[Q_AGV]), tuple(vertices), tuple(arrive), tuple(leave[:-1]), leave[-1])
+
+    def _remember(self, nodes: int) -> None:
+        """Make search memory for so many nodes."""
+        d = self.distances
+        self._memory = _new_memory(nodes, len(d.space.lanes.xy))
+        self._arrays = (*d.space.lanes, d.blocked, self._no_rest, d.counters, *self._memory)
 
 
 def _new_memory(nodes: int, vertices: int) -> _Memory:
@@ -178,11 +214,28 @@ def _new_memory(nodes: int, vertices: int) -> _Memory:
 
 
 @kernel
+def _find(query: IntArray, bans: IntArray, arrays: tuple[Any, ...]) -> int:
+    """:func:`_sipp` for arrays in a plain tuple: numba takes long to look at each named one that it is handed."""
+    return _sipp(
+        query, bans, Reserved(*arrays[:5]), Field(*arrays[5:9]), Bounds(*arrays[9:11]), Lanes(*arrays[11:21]),
+        arrays[21], arrays[22], arrays[23], _Memory(*arrays[24:]),
+    )  # fmt: skip
+
+
+@kernel
+def _find_and_reserve(query: IntArray, bans: IntArray, arrays: tuple[Any, ...]) -> int:
+    """Step of arrival of the path that has been found and reserved, or NONE, FULL, LIMIT or CROWDED."""
+    last = _find(query, bans, arrays)
+    return last if last < 0 else _reserve(last, query, _Memory(*arrays[24:]).nodes, Reserved(*arrays[:5]))
+
+
+@kernel
 def _sipp(
-    query: IntArray, rows: IntArray, count: IntArray, bans: IntArray, field: Field, bounds: Bounds, lanes: Lanes,
-    blocked: NDArray[np.uint8], no_rest: NDArray[np.uint8], memory: _Memory, counters: NDArray[np.int64],
+    query: IntArray, bans: IntArray, reserved: Reserved, field: Field, bounds: Bounds, lanes: Lanes,
+    blocked: NDArray[np.uint8], no_rest: NDArray[np.uint8], counters: NDArray[np.int64], memory: _Memory,
 ) -> int:  # fmt: skip
     """Number of the node at which the best path ends, or NONE, FULL or LIMIT."""
+    rows, count = reserved.rows, reserved.counts
     nodes, meta = memory.nodes, memory.meta
     start, goal, window = query[Q_VERTEX], query[Q_GOAL], query[Q_WINDOW]
     loaded = query[Q_LOADED]
@@ -254,6 +307,8 @@ def _sipp(
             h = 0
             if goal >= 0:
                 h = max(at_least(e, goal, field, bounds, lanes), nodes[n, H] - (depart - t) - steps)
+            if depart + steps + h > query[Q_LATEST]:
+                continue
             if h < nearest and latest < 0 and count[w] > 0 and rows[w, count[w] - 1, END] >= FOREVER:
                 nearest = h
                 meta[BLOCKER] = rows[w, count[w] - 1, AGENT]
@@ -372,21 +427,52 @@ def _closes_ring(rows: IntArray, count: IntArray, v: int, w: int, step: int) -> 
 
 
 @njit(cache=True)
-def _trace(last: int, nodes: IntArray) -> IntArray:
-    """Rows vertices, arrivals and the departures before them, from the start to node ``last``."""
-    length = 0
-    n = last
-    while n >= 0:
-        length += 1
-        n = nodes[n, PARENT]
-    out = np.empty((3, length), dtype=np.int32)
-    n = last
-    for i in range(length - 1, -1, -1):
-        out[0, i] = nodes[n, VERTEX]
-        out[1, i] = nodes[n, T]
-        out[2, i] = nodes[n, LEAVE]
-        n = nodes[n, PARENT]
+def _trace(last: int, query: IntArray, nodes: IntArray) -> IntArray:
+    """Rows vertices, arrivals and departures (of the last vertex the end of its occupation) on the way to a node."""
+    n = _length(last, nodes)
+    out = np.empty((3, n), dtype=np.int32)
+    _write_path(last, query, nodes, out.reshape(-1))
     return out
+
+
+@kernel
+def _reserve(last: int, query: IntArray, nodes: IntArray, reserved: Reserved) -> int:
+    """Keep and reserve the path to a node; step of arrival, or CROWDED."""
+    words, place = reserved.words, reserved.used[WORDS]
+    n = _length(last, nodes)
+    words[place], words[place + 1] = query[Q_AGV], n
+    _write_path(last, query, nodes, words[place + HEAD : place + HEAD + EACH * n])
+    if keep(place, reserved, bool(query[Q_FOLLOWING])):
+        return int(words[place + HEAD + 2 * n - 1])
+    for k in range(place + HEAD, place + HEAD + n):
+        drop(reserved.rows, reserved.counts, words[k], query[Q_AGV])
+    return CROWDED
+
+
+@kernel
+def _length(last: int, nodes: IntArray) -> int:
+    """Number of vertices on the way to a node."""
+    n = 0
+    while last >= 0:
+        n += 1
+        last = nodes[last, PARENT]
+    return n
+
+
+@kernel
+def _write_path(last: int, query: IntArray, nodes: IntArray, words: IntArray) -> None:
+    """The vertices, arrivals and departures on the way to a node, as a table keeps them."""
+    n = len(words) // EACH
+    leave = query[Q_WINDOW]
+    if leave < FOREVER:
+        dwell = query[Q_DWELL] if nodes[last, VERTEX] == query[Q_GOAL] else 0
+        leave = max(leave, nodes[last, T] + dwell)
+    for k in range(n - 1, -1, -1):
+        words[k] = nodes[last, VERTEX]
+        words[n + k] = nodes[last, T] if k > 0 else 0
+        words[2 * n + k] = leave
+        leave = nodes[last, LEAVE]
+        last = nodes[last, PARENT]
 
 
 @kernel
