@@ -32,9 +32,9 @@ from controller.search.reservations import (
     Reserved,
 )
 from controller.search.sipp import PathSearch
-from controller.search.space import Lanes
+from controller.search.space import Lanes, by_air
 from controller.types import FOREVER, PlanAgent, PlanningProblem
-from sumo_nets.graph import IntArray
+from sumo_nets.graph import FloatArray, IntArray
 
 #: At most so many others are planned again with an agent.
 NEIGHBOURS = 4
@@ -42,8 +42,9 @@ NEIGHBOURS = 4
 MOST_MET = 32
 #: Columns of what is told of agents: AGV number, edge come by, first step at which it can leave, 1 if loaded.
 AGV, CAME, READY, LOADED = 0, 1, 2, 3
-#: Columns of what is found out about their paths: steps waited on the way, step of arrival.
-WAITED, ARRIVAL = 0, 1
+#: Columns of what is found out about their paths: steps waited on the way, step of arrival, and how much later that is
+#: than straight through the air.
+WAITED, ARRIVAL, LONGER = 0, 1, 2
 
 
 class Improvement:
@@ -80,7 +81,7 @@ class Improvement:
 
     def run(self, tries: int, threshold: int) -> None:
         """Try so many neighbourhoods of agents that are late by more than ``threshold`` steps."""
-        lateness = self._lateness(list(self.agents))
+        lateness = self._lateness(list(self.agents), threshold)
         late = self._late(lateness, threshold)
         while late and self.tried < tries:
             agv = late.pop(0)
@@ -94,7 +95,7 @@ class Improvement:
             if others and self._again(order):
                 self.taken += 1
                 self.looked.update(dict.fromkeys(order, 0))
-                lateness.update(self._lateness(order))
+                lateness.update(self._lateness(order, threshold))
                 late = self._late(lateness, threshold)
 
     def _late(self, lateness: Mapping[int, int], threshold: int) -> list[int]:
@@ -102,14 +103,15 @@ class Improvement:
         late = [agv for agv, steps in lateness.items() if steps > threshold]
         return sorted(late, key=lambda agv: (self.looked.get(agv, 0), -lateness[agv], agv))
 
-    def _lateness(self, agvs: Sequence[int]) -> dict[int, int]:
+    def _lateness(self, agvs: Sequence[int], threshold: int) -> dict[int, int]:
         """For how many steps each of these AGVs waits on its way, all in all."""
         return dict(zip(agvs, self._paths_of(agvs)[:, WAITED].tolist(), strict=True))
 
     def _paths_of(self, agvs: Sequence[int]) -> IntArray:
-        """Steps waited and arrival of each of these AGVs, see ``WAITED`` and ``ARRIVAL``."""
-        found = np.empty((len(agvs), 2), dtype=np.int32)
-        _look_at(self._told_of(agvs), self.table.reserved, self._lanes, found)
+        """What is found out about the paths of these AGVs, see ``WAITED``."""
+        found = np.empty((len(agvs), 3), dtype=np.int32)
+        space = self.search.distances.space
+        _look_at(self._told_of(agvs), self.table.reserved, space.lanes, space.rates, found)
         return found
 
     def _told_of(self, agvs: Sequence[int]) -> IntArray:
@@ -159,32 +161,51 @@ class Improvement:
 class Detours(Improvement):
     """An improvement for which late is who arrives later than it would if it were alone."""
 
-    def _lateness(self, agvs: Sequence[int]) -> dict[int, int]:
-        """How many steps later each of these AGVs arrives than if it were alone, as far as is known unsearched."""
-        arrivals = self._paths_of(agvs)[:, ARRIVAL].tolist()
-        return {agv: arrival - self._alone(self.agents[agv]) for agv, arrival in zip(agvs, arrivals, strict=True)}
+    def __init__(
+        self,
+        problem: PlanningProblem,
+        agents: Mapping[int, PlanAgent],
+        table: ReservationTable,
+        search: PathSearch,
+        looked: dict[int, int],
+    ) -> None:
+        super().__init__(problem, agents, table, search, looked)
+        self._nobody = ReservationTable(len(problem.graph.names), table.following, capacity=1)
+        self._arrival: dict[int, int] = {}
+
+    def _lateness(self, agvs: Sequence[int], threshold: int) -> dict[int, int]:
+        """How many steps later each of these AGVs arrives than if it were alone, as far as is known unsearched.
+
+        Of those who go nearly straight all the way no more is asked: they are not late.
+        """
+        lateness = {}
+        for agv, (_, arrival, longer) in zip(agvs, self._paths_of(agvs).tolist(), strict=True):
+            self._arrival[agv] = arrival
+            lateness[agv] = arrival - self._alone(self.agents[agv]) if longer > threshold else longer
+        return lateness
 
     def _in_the_way(self, agv: int, threshold: int) -> list[int]:
         """Those whom the agent would meet if it went as if it were alone, and those it waits for as it goes.
 
         Nobody if it turns out that even alone it would hardly be earlier.
         """
-        nobody = ReservationTable(len(self.problem.graph.names), self.table.following, capacity=1)
-        alone = self.search.reserve_path(self.problem, self.agents[agv], nobody)
-        if alone < 0 or self._paths_of([agv])[0, ARRIVAL] <= alone + threshold:
+        self._nobody.reset()
+        alone = self.search.reserve_path(self.problem, self.agents[agv], self._nobody)
+        if alone < 0 or self._arrival[agv] <= alone + threshold:
             return []
         met = np.empty(MOST_MET, dtype=np.int32)
-        return self._neighbours(agv, met, _meet_on_way(nobody.reserved, self.table.reserved, met))
+        return self._neighbours(agv, met, _meet_on_way(self._nobody.reserved, self.table.reserved, met))
 
 
 @kernel
-def _look_at(told: IntArray, reserved: Reserved, lanes: Lanes, found: IntArray) -> None:
+def _look_at(told: IntArray, reserved: Reserved, lanes: Lanes, rates: FloatArray, found: IntArray) -> None:
     """How long agents wait on the paths reserved for them, and when they arrive.
 
     Args:
         told: a row for each agent, see ``AGV``.
         reserved: the table; each has one path in it.
         lanes: the garage.
+        rates: see ``Space``.
         found: filled, a row for each agent, see ``WAITED``.
     """
     span = -1
@@ -197,8 +218,13 @@ def _look_at(told: IntArray, reserved: Reserved, lanes: Lanes, found: IntArray) 
             came, could = _set_out(place, k, came, ready, told[i, LOADED], reserved.words, lanes)
             waited += reserved.words[place + HEAD + 2 * n + k] - could
             ready = reserved.words[place + HEAD + n + k + 1]
+        arrival = reserved.words[place + HEAD + 2 * n - 1]
+        u, v = reserved.words[place + HEAD], reserved.words[place + HEAD + n - 1]
         found[i, WAITED] = waited
-        found[i, ARRIVAL] = reserved.words[place + HEAD + 2 * n - 1]
+        found[i, ARRIVAL] = arrival
+        row = told[i, LOADED]
+        least = told[i, READY] + by_air(u, v, rates[row, 0], rates[row, 1], lanes)
+        found[i, LONGER] = arrival - least if n > 1 else 0
 
 
 @kernel

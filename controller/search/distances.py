@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from controller.kernel import kernel
 from controller.search.landmarks import Bounds, Landmarks
 from controller.search.landmarks import at_least as landmarks_say
-from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes, Space
+from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes, Space, by_air
 from controller.types import FOREVER, NEVER
 from sumo_nets.graph import FloatArray, IntArray
 
@@ -40,13 +40,13 @@ class Field(NamedTuple):
         states: shape (m, 4), int32; zeroed memory that is not touched costs nothing.
         meta: number of states in OPEN, the goal, 1 if loaded, the vertex it is aimed at, and, as long as all that is
             closed has been read from a table, the steps from there + 1 (else 0).
-        aim: x, y of the vertex it is aimed at, steps per metre by Manhattan and by Euclidean distance.
+        rates: steps per metre by Manhattan and by Euclidean distance, shape (2,); 0 for a search without an aim.
         ahead: at least so many steps from the vertex it is aimed at over each edge, shape (m,); (0,) if no landmark.
     """
 
     states: IntArray
     meta: IntArray
-    aim: FloatArray
+    rates: FloatArray
     ahead: IntArray
 
 
@@ -153,8 +153,8 @@ class Distances:
             return 0
         field, lanes = self.field(goal, loaded, vertex), self.space.lanes
         if in_edge >= 0:
-            if field.states[in_edge, PLACE] == -1:  # to call a kernel would take longer than all else here
-                return int(field.states[in_edge, G]) - 1
+            if field.states.item(in_edge, PLACE) == -1:  # to call a kernel would take longer than all else here
+                return field.states.item(in_edge, G) - 1
             return int(at_least(in_edge, goal, field, self.bounds(goal, loaded), lanes))
         bounds, row = self.bounds(goal, loaded), int(loaded)
         out = range(lanes.first_out[vertex], lanes.first_out[vertex + 1])
@@ -178,7 +178,7 @@ class Distances:
         field = Field(
             np.zeros((len(s.lanes.tail), 4), dtype=np.int32),
             np.array([0, goal, loaded, asker, 0], dtype=np.int32),
-            np.array([*s.lanes.xy[asker], *s.rates[int(loaded)]]),
+            s.rates[int(loaded)].copy(),
             self._landmarks.steps_from(asker, loaded, self.counters) if straight else np.zeros(0, dtype=np.int32),
         )
         if not straight or not _read_way(field, s.lanes, self.blocked):
@@ -191,7 +191,7 @@ def _whole(goal: int, loaded: bool, blocked: NDArray[np.uint8], lanes: Lanes, co
     field = Field(
         np.zeros((len(lanes.tail), 4), dtype=np.int32),
         np.array([0, goal, loaded, goal, 0], dtype=np.int32),
-        np.zeros(4),
+        np.zeros(2),
         np.zeros(0, dtype=np.int32),
     )
     _close_all(field, lanes, blocked, counters)
@@ -303,11 +303,8 @@ def at_least(edge: int, goal: int, field: Field, bounds: Bounds, lanes: Lanes) -
     """A bound below the remaining steps from an edge to the goal, without any search; exact where it is closed."""
     if closed(edge, field):
         return int(field.states[edge, G]) - 1
-    w = lanes.head[edge]
-    dx = abs(lanes.xy[w, 0] - lanes.xy[goal, 0])
-    dy = abs(lanes.xy[w, 1] - lanes.xy[goal, 1])
-    by_air = int(max(field.aim[2] * (dx + dy), field.aim[3] * np.sqrt(dx * dx + dy * dy)))
-    return int(max(by_air, landmarks_say(edge, bounds)))
+    straight = by_air(lanes.head[edge], goal, field.rates[0], field.rates[1], lanes)
+    return int(max(straight, landmarks_say(edge, bounds)))
 
 
 @kernel
@@ -399,10 +396,7 @@ def _estimate(edge: int, field: Field, lanes: Lanes) -> int:
     """At least so many steps from the vertex the search is aimed at until the edge has been driven."""
     if len(field.ahead) > 0:
         return int(field.ahead[edge])
-    v, aim = lanes.head[edge], field.aim
-    dx = abs(lanes.xy[v, 0] - aim[0])
-    dy = abs(lanes.xy[v, 1] - aim[1])
-    return int(max(aim[2] * (dx + dy), aim[3] * np.sqrt(dx * dx + dy * dy)))
+    return by_air(lanes.head[edge], field.meta[AIM], field.rates[0], field.rates[1], lanes)
 
 
 @kernel

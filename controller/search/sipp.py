@@ -24,6 +24,7 @@ before a bound, larger g, the older state.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
@@ -60,6 +61,7 @@ EDGE, VERTEX, SLOT, T, LEAVE, LAST, H, FKEY, PARENT, OLDER, STALE, FINAL, EXACT,
 #: Places of the query that the kernel reads.
 Q_AGV, Q_VERTEX, Q_EDGE, Q_READY, Q_GOAL, Q_LOADED, Q_DWELL = range(7)
 Q_WINDOW, Q_PENALTY, Q_FOLLOWING, Q_LIMIT, Q_SLACK, Q_LATEST = range(7, 13)
+_QUERY = struct.Struct("13i")
 
 _NO_BANS: IntArray = np.zeros((0, 2), dtype=np.int32)
 
@@ -166,11 +168,11 @@ class PathSearch:
     ) -> IntArray:
         window = min(problem.window_steps, FOREVER)
         slack = self.slack if window == FOREVER else 0
-        return np.array(
-            (agent.agv, agent.vertex, agent.in_edge, agent.ready_step, agent.goal, agent.loaded, agent.dwell_steps,
-             window, window // 4, problem.motion.following, min(limit, FOREVER), slack, min(latest + slack, FOREVER)),
-            dtype=np.int32,
+        packed = _QUERY.pack(
+            agent.agv, agent.vertex, agent.in_edge, agent.ready_step, agent.goal, agent.loaded, agent.dwell_steps,
+            window, window // 4, problem.motion.following, min(limit, FOREVER), slack, min(latest + slack, FOREVER),
         )  # fmt: skip
+        return np.frombuffer(bytearray(packed), dtype=np.int32)
 
     def _run(
         self, search: Callable[..., int], query: IntArray, bans: IntArray, agent: PlanAgent, table: ReservationTable

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.kernel import kernel
 from controller.types import Motion
 from sumo_nets.graph import FloatArray, Graph, IntArray
 
@@ -74,6 +75,14 @@ class Space:
             if real.any():
                 rates[:, k] = (self.lanes.edge_steps[:, real] / metres[real]).min(axis=1) * (1 - 1e-9)
         return rates
+
+
+@kernel
+def by_air(u: int, v: int, manhattan: float, euclidean: float, lanes: Lanes) -> int:
+    """At least so many steps from one vertex to another, by the two rates of ``Space.rates``."""
+    dx = abs(lanes.xy[u, 0] - lanes.xy[v, 0])
+    dy = abs(lanes.xy[u, 1] - lanes.xy[v, 1])
+    return int(max(manhattan * (dx + dy), euclidean * np.sqrt(dx * dx + dy * dy)))
 
 
 def _longest_turns(motion: Motion) -> IntArray:
