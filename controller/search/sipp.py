@@ -56,11 +56,14 @@ from sumo_nets.graph import IntArray
 #: until LAST; T and LEAVE are the arrival and the departure before it; OLDER is the next node of the same vertex;
 #: STALE is 1 once a better node has replaced it; FINAL is 1 where a path may end at arrival; EXACT is 1 when H is the
 #: distance and no bound below it; from TURNED on it can leave over any edge.
-EDGE, VERTEX, SLOT, T, LEAVE, LAST, H, FKEY, PARENT, OLDER, STALE, FINAL, EXACT, TURNED = range(14)
+EDGE, VERTEX, SLOT, T, LEAVE, LAST, H, PARENT, OLDER, STALE, FINAL, EXACT, TURNED = range(13)
 
 #: Places of the query that the kernel reads.
 Q_AGV, Q_VERTEX, Q_EDGE, Q_READY, Q_GOAL, Q_LOADED, Q_DWELL = range(7)
 Q_WINDOW, Q_PENALTY, Q_FOLLOWING, Q_LIMIT, Q_SLACK, Q_LATEST = range(7, 13)
+#: Bits of ``_Memory.keys``: f from F_FROM on, the lowest T_BITS for g.
+F_FROM, T_BITS = 32, 31
+
 _QUERY = struct.Struct("13i")
 
 _NO_BANS: IntArray = np.zeros((0, 2), dtype=np.int32)
@@ -74,13 +77,15 @@ class _Memory(NamedTuple):
     """Search memory, reused without clearing.
 
     Attributes:
-        nodes: shape (N, 14), see the columns above.
+        nodes: shape (N, 13), see the columns above.
+        keys: shape (N,), int64: where nodes stand in OPEN, see ``_key``.
         open: shape (N,), binary heap of node numbers.
         newest: shape (n, 2): newest node of each vertex, valid if the second column is the current generation.
         meta: number of nodes, size of OPEN, generation, blocking agent.
     """
 
     nodes: IntArray
+    keys: NDArray[np.int64]
     open: IntArray
     newest: IntArray
     meta: IntArray
@@ -208,7 +213,8 @@ class PathSearch:
 
 def _new_memory(nodes: int, vertices: int) -> _Memory:
     return _Memory(
-        np.zeros((nodes, 14), dtype=np.int32),
+        np.zeros((nodes, 13), dtype=np.int32),
+        np.zeros(nodes, dtype=np.int64),
         np.zeros(nodes, dtype=np.int32),
         np.zeros((vertices, 2), dtype=np.int32),
         np.zeros(4, dtype=np.int32),
@@ -261,7 +267,7 @@ def _sipp(
     expanded = 0
     while meta[SIZE] > 0:
         n = memory.open[0]
-        if wait_node >= 0 and wait_f <= nodes[n, FKEY]:
+        if wait_node >= 0 and wait_f <= memory.keys[n] >> F_FROM:
             break
         _pop(memory, counters)
         if goal >= 0 and not nodes[n, STALE] and not nodes[n, EXACT] and query[Q_SLACK] == 0:
@@ -271,7 +277,7 @@ def _sipp(
             nodes[n, EXACT] = 1
             if h > nodes[n, H]:
                 nodes[n, H] = h
-                nodes[n, FKEY] = nodes[n, T] + h
+                memory.keys[n] = _key(nodes[n, T] + h, True, nodes[n, T])
                 _push(n, memory, counters)
                 continue
         counters[EXPANDED] += 1
@@ -374,7 +380,7 @@ def _generate(
     nodes[n, LEAVE] = leave
     nodes[n, LAST] = last
     nodes[n, H] = h
-    nodes[n, FKEY] = t + h if exact else t + h + query[Q_SLACK]
+    memory.keys[n] = _key(t + h if exact else t + h + query[Q_SLACK], exact, t)
     nodes[n, PARENT] = parent
     nodes[n, OLDER] = older
     nodes[n, STALE] = 0
@@ -478,26 +484,26 @@ def _write_path(last: int, query: IntArray, nodes: IntArray, words: IntArray) ->
 
 
 @kernel
-def _before(a: int, b: int, nodes: IntArray) -> bool:
-    """Order of OPEN: smaller f, then those with an exact distance, then larger g, then the older node."""
-    if nodes[a, FKEY] != nodes[b, FKEY]:
-        return bool(nodes[a, FKEY] < nodes[b, FKEY])
-    if nodes[a, EXACT] != nodes[b, EXACT]:
-        return bool(nodes[a, EXACT])
-    if nodes[a, T] != nodes[b, T]:
-        return bool(nodes[a, T] > nodes[b, T])
-    return a < b
+def _key(f: int, exact: bool, t: int) -> int:
+    """Order of OPEN in one number: smaller f, then those with an exact distance, then larger g."""
+    return (f << F_FROM) + ((0 if exact else 1) << T_BITS) + 2 * FOREVER - t
+
+
+@kernel
+def _before(a: int, b: int, keys: NDArray[np.int64]) -> bool:
+    """Order of OPEN: by key, then the older node."""
+    return bool(keys[a] < keys[b] or (keys[a] == keys[b] and a < b))
 
 
 @kernel
 def _push(n: int, memory: _Memory, counters: NDArray[np.int64]) -> None:
-    OPEN, nodes = memory.open, memory.nodes
+    OPEN, keys = memory.open, memory.keys
     i = memory.meta[SIZE]
     memory.meta[SIZE] += 1
     counters[HEAP_MOVES] += 1
     while i > 0:
         up = (i - 1) >> 1
-        if not _before(n, OPEN[up], nodes):
+        if not _before(n, OPEN[up], keys):
             break
         OPEN[i] = OPEN[up]
         i = up
@@ -507,16 +513,16 @@ def _push(n: int, memory: _Memory, counters: NDArray[np.int64]) -> None:
 
 @kernel
 def _pop(memory: _Memory, counters: NDArray[np.int64]) -> None:
-    OPEN, nodes = memory.open, memory.nodes
+    OPEN, keys = memory.open, memory.keys
     memory.meta[SIZE] -= 1
     size = memory.meta[SIZE]
     n = OPEN[size]
     i = 0
     while 2 * i + 1 < size:
         down = 2 * i + 1
-        if down + 1 < size and _before(OPEN[down + 1], OPEN[down], nodes):
+        if down + 1 < size and _before(OPEN[down + 1], OPEN[down], keys):
             down += 1
-        if not _before(OPEN[down], n, nodes):
+        if not _before(OPEN[down], n, keys):
             break
         OPEN[i] = OPEN[down]
         i = down
