@@ -146,9 +146,7 @@ class Improvement:
         else:
             self.changed.update(order)
             return True
-        for agv in order:
-            self.table.remove(agv)
-        self.table.put(old, len(order))
+        self.table.put_back(old, len(order))
         return False
 
     def _alone(self, agent: PlanAgent) -> int:

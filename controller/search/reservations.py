@@ -97,18 +97,23 @@ class ReservationTable:
         words = np.empty(self.reserved.used[WORDS], dtype=np.int32)
         return words[: _take(np.array(agvs, dtype=np.int32), self.reserved, words)]
 
+    def put_back(self, words: IntArray, paths: int) -> None:
+        """Reserve so many paths, see :meth:`put`, instead of what their agents have."""
+        _remove_owners(words, self.reserved)
+        self.put(words, paths)
+
     def remove(self, agv: int) -> None:
         """Take back all reservations of an agent; nothing happens if it has none."""
         _remove(agv, self.reserved)
 
     def path(self, agv: int) -> Path:
         """The path reserved for an agent that has one."""
-        words, spans, used = self.reserved.words, self.reserved.spans, self.reserved.used
-        at = int(spans[spans[: used[SPANS], OWNER].tolist().index(agv), PLACE])
-        n = int(words[at + 1])
-        numbers = words[at + HEAD : at + HEAD + EACH * n].tolist()
-        vertices, arrive, leave = tuple(numbers[:n]), tuple(numbers[n : 2 * n]), numbers[2 * n :]
-        return Path(agv, vertices, arrive, tuple(leave[:-1]), leave[-1])
+        words, place = self.reserved.words, _place_of(agv, self.reserved)
+        if place < 0:
+            raise KeyError(agv)
+        n = int(words[place + 1])
+        numbers = words[place + HEAD : place + HEAD + EACH * n].tolist()
+        return Path(agv, tuple(numbers[:n]), tuple(numbers[n : 2 * n]), tuple(numbers[2 * n : -1]), numbers[-1])
 
     def rests(self, but: int) -> IntArray:
         """Vertices where somebody rests for ever, but for one agent."""
@@ -234,6 +239,15 @@ def _take(agvs: IntArray, reserved: Reserved, out: IntArray) -> int:
 
 
 @kernel
+def _remove_owners(words: IntArray, reserved: Reserved) -> None:
+    """Take back all paths of the agents of packed paths."""
+    place = 0
+    while place < len(words):
+        _remove(words[place], reserved)
+        place += HEAD + EACH * words[place + 1]
+
+
+@kernel
 def _remove(agv: int, reserved: Reserved) -> None:
     """Take back all paths of an agent; those at the end of ``words`` leave their room to others."""
     words, spans, used = reserved.words, reserved.spans, reserved.used
@@ -249,6 +263,15 @@ def _remove(agv: int, reserved: Reserved) -> None:
         used[SPANS] -= 1
         spans[s, OWNER] = spans[used[SPANS], OWNER]
         spans[s, PLACE] = spans[used[SPANS], PLACE]
+
+
+@kernel
+def _place_of(agv: int, reserved: Reserved) -> int:
+    """Where a path of an agent begins in ``words``, -1 if it has none."""
+    for s in range(reserved.used[SPANS]):
+        if reserved.spans[s, OWNER] == agv:
+            return int(reserved.spans[s, PLACE])
+    return -1
 
 
 @kernel
