@@ -168,7 +168,6 @@ class Detours(Improvement):
         looked: dict[int, int],
     ) -> None:
         super().__init__(problem, agents, table, search, looked)
-        self._nobody = ReservationTable(len(problem.graph.names), table.following, capacity=1)
         self._arrival: dict[int, int] = {}
 
     def _lateness(self, agvs: Sequence[int], threshold: int) -> dict[int, int]:
@@ -187,12 +186,12 @@ class Detours(Improvement):
 
         Nobody if it turns out that even alone it would hardly be earlier.
         """
-        self._nobody.reset()
-        alone = self.search.reserve_path(self.problem, self.agents[agv], self._nobody)
-        if alone < 0 or self._arrival[agv] <= alone + threshold:
+        a = self.agents[agv]
+        way = self.search.distances.way(a.vertex, a.in_edge, a.goal, a.loaded)
+        if len(way) == 0 or self._arrival[agv] <= a.ready_step + int(way[-1, 1]) + threshold:
             return []
         met = np.empty(MOST_MET, dtype=np.int32)
-        return self._neighbours(agv, met, _meet_on_way(self._nobody.reserved, self.table.reserved, met))
+        return self._neighbours(agv, met, _meet_on_way(way, a.ready_step, self.table.reserved, met))
 
 
 @kernel
@@ -263,13 +262,12 @@ def _meet_waiting(told: IntArray, reserved: Reserved, lanes: Lanes, met: IntArra
 
 
 @kernel
-def _meet_on_way(alone: Reserved, reserved: Reserved, met: IntArray) -> int:
-    """Whom an agent would meet on the one path that is in the table ``alone``; how many there are."""
-    words, length = alone.words, alone.words[1]
+def _meet_on_way(way: IntArray, ready: int, reserved: Reserved, met: IntArray) -> int:
+    """Whom an agent would meet that set out at a step on a way, see ``Distances.way``; how many there are."""
     n = 0
-    for k in range(length):
-        last = words[HEAD + length + k + 1] if k + 1 < length else FOREVER
-        n = _meet(words[HEAD + k], words[HEAD + length + k] + 1, last, reserved, met, n)
+    for k in range(len(way)):
+        last = ready + way[k + 1, 1] if k + 1 < len(way) else FOREVER
+        n = _meet(way[k, 0], ready + way[k, 1] + 1, last, reserved, met, n)
     return n
 
 

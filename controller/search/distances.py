@@ -147,6 +147,17 @@ class Distances:
         field = self.field(goal, loaded, vertex)
         return int(distance_from(vertex, in_edge, field, self.space.lanes, self.blocked, self.counters))
 
+    def way(self, vertex: int, in_edge: int, goal: int, loaded: bool) -> IntArray:
+        """A quickest way to a goal, same arguments as for :meth:`distance`.
+
+        Returns:
+            For each vertex of the way, the first one too, its number and the steps until it is reached; shape (k, 2),
+            k = 0 if there is no way.
+        """
+        way = np.empty((len(self.space.lanes.tail) + 1, 2), dtype=np.int32)
+        field = self.field(goal, loaded, vertex)
+        return way[: _descend(vertex, in_edge, field, self.space.lanes, self.blocked, self.counters, way)]
+
     def known(self, vertex: int, in_edge: int, goal: int, loaded: bool) -> int:
         """A bound below :meth:`distance` that takes no search: exact where one has been already; same arguments."""
         if vertex == goal:
@@ -248,6 +259,33 @@ def _best_way_out(vertex: int, in_edge: int, field: Field, lanes: Lanes, blocked
         else:
             open_turn = min(open_turn, turn)
     return best, open_turn
+
+
+@kernel
+def _descend(
+    vertex: int, in_edge: int, field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters: NDArray[np.int64],
+    way: IntArray,
+) -> int:  # fmt: skip
+    """Follow the distances down to the goal; how many vertices that are."""
+    states, loaded = field.states, field.meta[LOADED]
+    left = distance_from(vertex, in_edge, field, lanes, blocked, counters)
+    if left >= FOREVER:
+        return 0
+    way[0, 0], way[0, 1] = vertex, 0
+    k = 1
+    while left > 0:
+        first = lanes.first_out[vertex]
+        for e in range(first, lanes.first_out[vertex + 1]):
+            turn = 0 if in_edge < 0 else lanes.turn_steps[loaded, lanes.first_transition[in_edge] + e - first]
+            steps = turn + lanes.edge_steps[loaded, e]
+            known = states[e, PLACE] == -1 and _may_enter(lanes.head[e], field, blocked)
+            if known and steps + states[e, G] - 1 == left:
+                break
+        way[k, 0], way[k, 1] = lanes.head[e], way[k - 1, 1] + steps
+        left -= steps
+        vertex, in_edge = lanes.head[e], e
+        k += 1
+    return k
 
 
 @kernel
