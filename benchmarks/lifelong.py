@@ -48,7 +48,7 @@ from sumo_nets.movingai import grid_graph, read_map
 FLEETS = {"warehouse": (10, 50, 100, 200), "garage": (4, 8, 16, 32, 64), "long_garage": (4, 8, 16, 32, 64)}
 #: Options of the planners unless ``--options`` names others.
 OPTIONS: dict[str, dict[str, object]] = {
-    "token": {"through_slots_agvs": 10**6, "improvements": 8, "detours": True, "late_moves": 1}
+    "token": {"through_slots_agvs": 10**6, "improvements": 2, "detours": True, "late_moves": 6}
 }
 #: Window in ticks, replanning period, and ticks without coming nearer to the goal that count as stuck. Agents of PIBT
 #: go out of their way for long.
