@@ -1,11 +1,13 @@
 """Lifelong tasks on 4-connected grids, one move a tick: the setting in which public solvers are measured.
 
     python benchmarks/lifelong.py [--planner token,whca] [--map warehouse] [--agents 10,50] [--seeds 3] [--ticks 1000]
+        [--repeats 3]
 
 On arrival an AGV gets a random new end point that nobody else has or heads for. Turning costs nothing. Executor,
 planner and deadlock handling are those of the product, called as the ACS calls them; there is no SUMO. One row for
 each map, fleet and planner: tasks a tick (also without any conflict: ``ideal``), milliseconds of CPU a tick of planning
-alone and of the whole control, deadlocks found and left, and the longest time that no task was done (a jam).
+alone and of the whole control, deadlocks found and left, and the longest time that no task was done (a jam). Distances
+to the end points are found before the clock runs, as public solvers do.
 """
 
 from __future__ import annotations
@@ -218,15 +220,19 @@ def control_options(planner: str) -> ControlOptions:
 
 
 def measure(
-    graph: Graph, agents: int, planner: str, seeds: int, length: int, options: dict[str, object]
+    graph: Graph, agents: int, planner: str, seeds: int, length: int, options: dict[str, object], repeats: int = 1
 ) -> dict[str, object]:
-    """One row: means over the seeds, the worst of what must not happen."""
-    runs, spent = [], 0.0
+    """One row: means over the seeds, the worst of what must not happen, times the least of some repeats."""
+    runs, planning, control = [], 0.0, 0.0
     for seed in range(1, seeds + 1):
-        run = Lifelong(graph, agents, planner, seed, options)
-        start = process_time()
-        run.run(length)
-        spent += process_time() - start
+        clocks = []
+        for _ in range(repeats):
+            run = Lifelong(graph, agents, planner, seed, options)
+            start = process_time()
+            run.run(length)
+            clocks.append((run.timed.spent_s, process_time() - start))
+        planning += min(clocks)[0]
+        control += min(clocks)[1]
         runs.append(run)
     total = seeds * length
     found = sum(run.events.get("deadlock_found", 0) for run in runs)
@@ -234,8 +240,8 @@ def measure(
         "map": graph.name, "agents": agents, "planner": planner,
         "tasks_per_tick": round(sum(run.done for run in runs) / total, 4),
         "ideal": round(agents * sum(len(run.trips) for run in runs) / sum(run.alone() for run in runs), 4),
-        "planning_ms": round(1000 * sum(run.timed.spent_s for run in runs) / total, 3),
-        "control_ms": round(1000 * spent / total, 3),
+        "planning_ms": round(1000 * planning / total, 3),
+        "control_ms": round(1000 * control / total, 3),
         "deadlocks": found,
         "unresolved": found - sum(run.events.get("deadlock_resolved", 0) for run in runs),
         "rejected": sum(run.events.get("plan_rejected", 0) for run in runs),
@@ -252,7 +258,7 @@ def rows(given: argparse.Namespace) -> Iterator[dict[str, object]]:
             options = OPTIONS.get(planner, {}) | given.options
             measure(graph, 2, planner, 1, 20, options)
             for agents in fleets:
-                yield measure(graph, agents, planner, given.seeds, given.ticks, options)
+                yield measure(graph, agents, planner, given.seeds, given.ticks, options, given.repeats)
 
 
 def main() -> None:
@@ -263,6 +269,7 @@ def main() -> None:
     parser.add_argument("--agents", default="")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--ticks", type=int, default=1000)
+    parser.add_argument("--repeats", type=int, default=1, help="runs of each seed, of which the quickest counts")
     parser.add_argument("--options", type=json.loads, default={}, help="of the planner, as JSON")
     parser.add_argument("--csv", type=Path)
     given = parser.parse_args()

@@ -78,6 +78,7 @@ class Improvement:
         self.changed: set[int] = set()
         self.tried, self.taken = 0, 0
         self._lanes = search.distances.space.lanes
+        self._arrival: dict[int, int] = {}
 
     def run(self, tries: int, threshold: int) -> None:
         """Try so many neighbourhoods of agents that are late by more than ``threshold`` steps."""
@@ -105,14 +106,15 @@ class Improvement:
 
     def _lateness(self, agvs: Sequence[int], threshold: int) -> dict[int, int]:
         """For how many steps each of these AGVs waits on its way, all in all."""
-        return dict(zip(agvs, self._paths_of(agvs)[:, WAITED].tolist(), strict=True))
+        return {agv: waited for agv, (waited, _, _) in zip(agvs, self._paths_of(agvs), strict=True)}
 
-    def _paths_of(self, agvs: Sequence[int]) -> IntArray:
+    def _paths_of(self, agvs: Sequence[int]) -> list[list[int]]:
         """What is found out about the paths of these AGVs, see ``WAITED``."""
         found = np.empty((len(agvs), 3), dtype=np.int32)
         space = self.search.distances.space
         _look_at(self._told_of(agvs), self.table.reserved, space.lanes, space.rates, found)
-        return found
+        rows: list[list[int]] = found.tolist()
+        return rows
 
     def _told_of(self, agvs: Sequence[int]) -> IntArray:
         """What kernels have to know of these AGVs, a row each."""
@@ -159,24 +161,13 @@ class Improvement:
 class Detours(Improvement):
     """An improvement for which late is who arrives later than it would if it were alone."""
 
-    def __init__(
-        self,
-        problem: PlanningProblem,
-        agents: Mapping[int, PlanAgent],
-        table: ReservationTable,
-        search: PathSearch,
-        looked: dict[int, int],
-    ) -> None:
-        super().__init__(problem, agents, table, search, looked)
-        self._arrival: dict[int, int] = {}
-
     def _lateness(self, agvs: Sequence[int], threshold: int) -> dict[int, int]:
         """How many steps later each of these AGVs arrives than if it were alone, as far as is known unsearched.
 
         Of those who go nearly straight all the way no more is asked: they are not late.
         """
         lateness = {}
-        for agv, (_, arrival, longer) in zip(agvs, self._paths_of(agvs).tolist(), strict=True):
+        for agv, (_, arrival, longer) in zip(agvs, self._paths_of(agvs), strict=True):
             self._arrival[agv] = arrival
             lateness[agv] = arrival - self._alone(self.agents[agv]) if longer > threshold else longer
         return lateness
