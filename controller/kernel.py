@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit
@@ -28,3 +30,28 @@ def kernel(function: F) -> F:
     """
     compiled: F = njit(**_OPTIONS)(function)
     return compiled
+
+
+def forget_stale_code(package: Path) -> None:
+    """Delete the machine code kept for a package if any of its sources has changed since this was last called.
+
+    numba looks at the file that a function is in, and at none of those that the functions are in which it calls: it
+    would go on with the old code of these.
+
+    Args:
+        package: folder of the sources; machine code lies beside them.
+    """
+    sources = [(file.relative_to(package), file.stat()) for file in sorted(package.rglob("*.py"))]
+    stamp = "\n".join(f"{name} {stat.st_mtime_ns} {stat.st_size}" for name, stat in sources)
+    seen = package / "__pycache__" / "kernels.stamp"
+    with suppress(OSError):  # where nothing can be written no machine code lies either
+        if seen.exists() and seen.read_text(encoding="utf-8") == stamp:
+            return
+        for code in (*package.rglob("*.nbi"), *package.rglob("*.nbc")):
+            code.unlink(missing_ok=True)
+        seen.parent.mkdir(exist_ok=True)
+        seen.write_text(stamp, encoding="utf-8")
+
+
+for _package in ("controller", "sumo_nets", "parking_sim"):
+    forget_stale_code(Path(__file__).parents[1] / _package)

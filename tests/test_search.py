@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numba.core.errors import NumbaError
 
 from controller.conflicts import validate
-from controller.kernel import kernel
+from controller.kernel import forget_stale_code, kernel
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
@@ -63,6 +63,17 @@ def test_distances_equal_dijkstra_on_edges_in_any_order_of_questions(data):
                 assert distances.distance(v, e, goal, loaded) == expected
                 assert bounds[1] <= distances.distance(v, -1, goal, loaded)
                 assert bounds[0] <= distances.known(v, e, goal, loaded) <= expected
+                check_way(distances.way(v, e, goal, loaded).tolist(), v, goal, expected, graph)
+
+
+def check_way(way, start, goal, steps, graph):
+    """A way is empty if there is none; else it leads from start to goal over lanes in so many steps."""
+    assert bool(way) == (steps < FOREVER)
+    if way:
+        lanes = set(zip(graph.tail.tolist(), graph.head.tolist(), strict=True))
+        assert way[0] == [start, 0]
+        assert way[-1] == [goal, steps]
+        assert all((u, v) in lanes and s < t for (u, s), (v, t) in pairwise(way))
 
 
 def test_a_first_move_needs_no_turn_and_unreachable_is_for_ever():
@@ -220,8 +231,8 @@ def test_a_path_reserved_where_it_is_found_is_the_one_that_is_found(p, window, c
 
 
 @settings(max_examples=100, deadline=None)
-@given(crossings(), st.sets(st.integers(1, 2)))
-def test_paths_taken_out_of_a_table_and_put_back_leave_it_as_it_was(p, taken):
+@given(crossings(), st.sets(st.integers(1, 2)), st.booleans())
+def test_paths_taken_out_of_a_table_and_put_back_leave_it_as_it_was(p, taken, in_turn):
     table, rest = search(p, p.agents[0], p.fixed)[1], search(p, p.agents[0])[1]
     before = intervals(table)
     words = table.take(sorted(taken))
@@ -229,7 +240,14 @@ def test_paths_taken_out_of_a_table_and_put_back_leave_it_as_it_was(p, taken):
         if path.agv not in taken:
             rest.add(path)
     assert intervals(table) == intervals(rest)
-    table.put(words, len(taken))
+    if in_turn:
+        table.put(words, len(taken))
+    else:
+        for agv in taken:
+            table.hold(0, 0, 3, agv)
+        table.put_back(words, len(taken))
+        for agv in taken - {path.agv for path in p.fixed}:
+            table.remove(agv)
     assert intervals(table) == before
     assert [table.path(path.agv) for path in p.fixed] == list(p.fixed)
     stay = [path for path in p.fixed if path.until == FOREVER]
@@ -354,3 +372,17 @@ def test_a_kernel_can_not_make_an_array():
 
     with pytest.raises(NumbaError):
         make(3)
+
+
+def test_kept_machine_code_is_forgotten_when_any_source_changes(tmp_path):
+    code, source = tmp_path / "search" / "__pycache__" / "sipp.nbi", tmp_path / "search" / "heap.py"
+    code.parent.mkdir(parents=True)
+
+    def kept_after(text):
+        if not source.exists() or source.read_text() != text:
+            source.write_text(text)
+        code.write_text("")
+        forget_stale_code(tmp_path)
+        return code.exists()
+
+    assert [kept_after(text) for text in ("a", "a", "ab", "ab")] == [False, True, False, True]
