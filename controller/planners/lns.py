@@ -204,7 +204,7 @@ def _look_at(told: IntArray, reserved: Reserved, lanes: Lanes, rates: FloatArray
         waited, came, ready = 0, told[i, CAME], told[i, READY]
         for k in range(n - 1):
             came, could = _set_out(place, k, came, ready, told[i, LOADED], reserved.words, lanes)
-            waited += reserved.words[place + HEAD + 2 * n + k] - could
+            waited += max(0, reserved.words[place + HEAD + 2 * n + k] - could)  # who has turned already sets out before
             ready = reserved.words[place + HEAD + n + k + 1]
         arrival = reserved.words[place + HEAD + 2 * n - 1]
         u, v = reserved.words[place + HEAD], reserved.words[place + HEAD + n - 1]

@@ -115,7 +115,7 @@ class Distances:
             return field
         if self._whole and goal in self._landmarks.vertices:
             return self._make_ready(goal, loaded)
-        key = (goal, loaded, asker if self._goes_straight(asker, goal) else -1)
+        key = self._key(goal, loaded, asker)
         field = self._fields.get(key)
         if field is None:
             field = self._new_field(goal, loaded, asker)
@@ -159,18 +159,24 @@ class Distances:
         return way[: _descend(vertex, in_edge, field, self.space.lanes, self.blocked, self.counters, way)]
 
     def known(self, vertex: int, in_edge: int, goal: int, loaded: bool) -> int:
-        """A bound below :meth:`distance` that takes no search: exact where one has been already; same arguments."""
+        """A bound below :meth:`distance` that takes no search and changes nothing; same arguments.
+
+        Exact where one has been already.
+        """
         if vertex == goal:
             return 0
-        field, lanes = self.field(goal, loaded, vertex), self.space.lanes
-        if in_edge >= 0:
-            if field.states.item(in_edge, PLACE) == -1:  # to call a kernel would take longer than all else here
-                return field.states.item(in_edge, G) - 1
-            return int(at_least(in_edge, goal, field, self.bounds(goal, loaded), lanes))
-        bounds, row = self.bounds(goal, loaded), int(loaded)
-        out = range(lanes.first_out[vertex], lanes.first_out[vertex + 1])
-        ways = (int(lanes.edge_steps[row, e]) + at_least(e, goal, field, bounds, lanes) for e in out)
-        return int(min(ways, default=FOREVER))
+        lanes, moving = self.space.lanes, loaded and self._speeds_differ
+        field = self._ready.get((goal, moving)) or self._fields.get(self._key(goal, moving, vertex))
+        if field is None or in_edge < 0:
+            manhattan, euclidean = self.space.rates[int(loaded)].tolist()
+            return int(by_air(vertex, goal, manhattan, euclidean, lanes))
+        if field.states.item(in_edge, PLACE) == -1:  # to call a kernel would take longer than all else here
+            return field.states.item(in_edge, G) - 1
+        return int(at_least(in_edge, goal, field, self.bounds(goal, loaded), lanes))
+
+    def _key(self, goal: int, loaded: bool, asker: int) -> tuple[int, bool, int]:
+        """Under which a field is kept."""
+        return goal, loaded, asker if self._goes_straight(asker, goal) else -1
 
     def _goes_straight(self, asker: int, goal: int) -> bool:
         """A field of its own, by the asker's table, pays where few others will ask for this goal."""
