@@ -14,6 +14,7 @@ from numba.core.errors import NumbaError
 
 from controller.conflicts import validate
 from controller.kernel import forget_stale_code, kernel
+from controller.planners.lns import Improvement
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
@@ -301,6 +302,19 @@ def crossing(no_rest=(), window=FOREVER):
     masks = [np.isin(np.arange(5), vs).astype(np.uint8) for vs in ((), list(no_rest))]
     agent = PlanAgent(1, 1, -1, 0, 1, False)
     return PlanningProblem(CROSS, classic(CROSS), (agent,), (), *masks, window)
+
+
+@pytest.mark.parametrize(("late", "tried"), [(2, 1), (3, 0)])
+def test_who_has_turned_before_setting_out_has_not_waited_less_for_it(late, tried):
+    motion = bodies(CROSS)
+    back = int(np.flatnonzero((CROSS.tail == 1) & (CROSS.head == 0))[0])
+    agent = PlanAgent(1, 0, back, 0, 2, False)
+    waits_at_1 = Path(1, (0, 1, 2), (0, 1, 5), (0, 4))
+    p = replace(crossing(), motion=motion, agents=(), fixed=(waits_at_1,), carrying=(agent,))
+    finder, table = search(p, agent, p.fixed)
+    improvement = Improvement(p, {1: agent}, table, finder, {})
+    improvement.run(8, late)
+    assert improvement.tried == tried
 
 
 @pytest.mark.parametrize("window", [10, FOREVER])
