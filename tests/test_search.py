@@ -67,6 +67,16 @@ def test_distances_equal_dijkstra_on_edges_in_any_order_of_questions(data):
                 check_way(distances.way(v, e, goal, loaded).tolist(), v, goal, expected, graph)
 
 
+def test_a_lasting_field_gives_no_way_through_what_is_blocked_now():
+    space = Space(CROSS, classic(CROSS))
+    distances = Distances(space, whole=True)
+    distances.prepare([2])
+    into_0 = int(np.flatnonzero((CROSS.tail == 1) & (CROSS.head == 0))[0])
+    assert distances.way(0, into_0, 2, False).tolist() == [[0, 0], [1, 1], [2, 2]]
+    distances.update(np.isin(np.arange(5), [1]).astype(np.uint8))
+    assert len(distances.way(0, into_0, 2, False)) == 0
+
+
 def check_way(way, start, goal, steps, graph):
     """A way is empty if there is none; else it leads from start to goal over lanes in so many steps."""
     assert bool(way) == (steps < FOREVER)

@@ -24,12 +24,11 @@ from controller.search.reservations import (
     EACH,
     END,
     HEAD,
-    OWNER,
     PLACE,
-    SPANS,
     START,
     ReservationTable,
     Reserved,
+    span_of,
 )
 from controller.search.sipp import PathSearch
 from controller.search.space import Lanes, by_air
@@ -111,8 +110,8 @@ class Improvement:
     def _paths_of(self, agvs: Sequence[int]) -> list[list[int]]:
         """What is found out about the paths of these AGVs, see ``WAITED``."""
         found = np.empty((len(agvs), 3), dtype=np.int32)
-        space = self.search.distances.space
-        _look_at(self._told_of(agvs), self.table.reserved, space.lanes, space.rates, found)
+        rates = self.search.distances.space.rates
+        _look_at(self._told_of(agvs), self.table.reserved, self._lanes, rates, found)
         rows: list[list[int]] = found.tolist()
         return rows
 
@@ -198,7 +197,7 @@ def _look_at(told: IntArray, reserved: Reserved, lanes: Lanes, rates: FloatArray
     """
     span = -1
     for i in range(len(told)):
-        span = _span_of(told[i, AGV], span + 1, reserved)
+        span = span_of(told[i, AGV], span + 1, reserved)  # they mostly are in order
         place = reserved.spans[span, PLACE]
         n = reserved.words[place + 1]
         waited, came, ready = 0, told[i, CAME], told[i, READY]
@@ -216,16 +215,6 @@ def _look_at(told: IntArray, reserved: Reserved, lanes: Lanes, rates: FloatArray
 
 
 @kernel
-def _span_of(agv: int, first: int, reserved: Reserved) -> int:
-    """Where an agent's path is among ``spans``, looked for from ``first`` on: they mostly are in order."""
-    n = reserved.used[SPANS]
-    span = first if first < n else 0
-    while reserved.spans[span, OWNER] != agv:
-        span = span + 1 if span + 1 < n else 0
-    return span
-
-
-@kernel
 def _set_out(place: int, k: int, came: int, ready: int, loaded: int, words: IntArray, lanes: Lanes) -> tuple[int, int]:
     """Edge of the k-th move of a path, and when the move could begin: after the turn from the edge come by."""
     u, v = words[place + HEAD + k], words[place + HEAD + k + 1]
@@ -240,7 +229,7 @@ def _set_out(place: int, k: int, came: int, ready: int, loaded: int, words: IntA
 @kernel
 def _meet_waiting(told: IntArray, reserved: Reserved, lanes: Lanes, met: IntArray, n: int) -> int:
     """Whom one agent waits for on its path; added to ``met``, see :func:`_meet`."""
-    place = reserved.spans[_span_of(told[0, AGV], 0, reserved), PLACE]
+    place = reserved.spans[span_of(told[0, AGV], 0, reserved), PLACE]
     words, length = reserved.words, reserved.words[place + 1]
     way, arrive, leave = place + HEAD, place + HEAD + length, place + HEAD + 2 * length
     came, ready = told[0, CAME], told[0, READY]

@@ -152,7 +152,7 @@ class Distances:
 
         Returns:
             For each vertex of the way, the first one too, its number and the steps until it is reached; shape (k, 2),
-            k = 0 if there is no way.
+            k = 0 if there is no way or, with ``whole``, if the one that is known is blocked now.
         """
         way = np.empty((len(self.space.lanes.tail) + 1, 2), dtype=np.int32)
         field = self.field(goal, loaded, vertex)
@@ -281,15 +281,18 @@ def _descend(
     k = 1
     while left > 0:
         first = lanes.first_out[vertex]
+        taken, steps = -1, 0
         for e in range(first, lanes.first_out[vertex + 1]):
             turn = 0 if in_edge < 0 else lanes.turn_steps[loaded, lanes.first_transition[in_edge] + e - first]
-            steps = turn + lanes.edge_steps[loaded, e]
             known = states[e, PLACE] == -1 and _may_enter(lanes.head[e], field, blocked)
-            if known and steps + states[e, G] - 1 == left:
+            if known and turn + lanes.edge_steps[loaded, e] + states[e, G] - 1 == left:
+                taken, steps = e, turn + lanes.edge_steps[loaded, e]
                 break
-        way[k, 0], way[k, 1] = lanes.head[e], way[k - 1, 1] + steps
+        if taken < 0:  # a field that lasts may lead through what is blocked now
+            return 0
+        way[k, 0], way[k, 1] = lanes.head[taken], way[k - 1, 1] + steps
         left -= steps
-        vertex, in_edge = lanes.head[e], e
+        vertex, in_edge = lanes.head[taken], taken
         k += 1
     return k
 

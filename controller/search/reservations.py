@@ -108,9 +108,10 @@ class ReservationTable:
 
     def path(self, agv: int) -> Path:
         """The path reserved for an agent that has one."""
-        words, place = self.reserved.words, _place_of(agv, self.reserved)
-        if place < 0:
+        words, span = self.reserved.words, span_of(agv, 0, self.reserved)
+        if span < 0:
             raise KeyError(agv)
+        place = int(self.reserved.spans[span, PLACE])
         n = int(words[place + 1])
         numbers = words[place + HEAD : place + HEAD + EACH * n].tolist()
         return Path(agv, tuple(numbers[:n]), tuple(numbers[n : 2 * n]), tuple(numbers[2 * n : -1]), numbers[-1])
@@ -266,11 +267,13 @@ def _remove(agv: int, reserved: Reserved) -> None:
 
 
 @kernel
-def _place_of(agv: int, reserved: Reserved) -> int:
-    """Where a path of an agent begins in ``words``, -1 if it has none."""
-    for s in range(reserved.used[SPANS]):
-        if reserved.spans[s, OWNER] == agv:
-            return int(reserved.spans[s, PLACE])
+def span_of(agv: int, first: int, reserved: Reserved) -> int:
+    """Where a path of an agent is among ``spans``, looked for from ``first`` on, then from the start; -1 if nowhere."""
+    n = reserved.used[SPANS]
+    for k in range(n):
+        span = (first + k) % n
+        if reserved.spans[span, OWNER] == agv:
+            return int(span)
     return -1
 
 
