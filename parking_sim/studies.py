@@ -227,7 +227,7 @@ def _most(scenario: Scenario, name: str, max_agvs: int | None, also: str) -> dic
     homes = len(net.graph.homes)
     if max_agvs is not None and max_agvs > homes:
         raise InputError(f"--max-agvs: {max_agvs}: {name} has homes for 1 to {homes}")
-    there = {"bays": len(net.bays), "chargers": len(net.graph.chargers)}
+    there = {"bays": len(net.bay_sites), "chargers": len(net.graph.chargers)}
     most = {"agvs": max_agvs or homes}
     for what in also.split(",") if also else ():
         if what not in there:

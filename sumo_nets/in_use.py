@@ -33,4 +33,6 @@ def first_places(net: GarageNet, bays: int | None = None, chargers: int | None =
         if number > len(graph.roles[role]):
             raise NetError(f"{role}s: {number}: {net.name} has {len(graph.roles[role])}")
     roles = {**graph.roles, **{role: graph.roles[role][:number] for role, number in kept.items()}}
-    return replace(net, graph=replace(graph, roles=roles), bays=net.bays[:bays])
+    used = replace(graph, roles=roles)
+    sites = {bay: net.bay_sites[bay] for bay in used.bays if bay in net.bay_sites}
+    return replace(net, graph=used, bay_sites=sites)

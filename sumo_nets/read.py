@@ -39,13 +39,11 @@ class BaySite:
     """Where customers' cars stand at one bay.
 
     Attributes:
-        vertex: the bay's vertex, where the AGV stands.
         in_area, out_area: ids of the parkingAreas for arriving and for leaving cars, one car each.
         in_route: street edges from the queue edge by the in_area's edge to the exit edge.
         out_route: street edges from the out_area's edge to the exit edge.
     """
 
-    vertex: int
     in_area: str
     out_area: str
     in_route: tuple[str, ...]
@@ -81,7 +79,8 @@ class GarageNet:
             length: between the rims of its two junctions.
         net_file, additional_file: the files to give to SUMO.
         handover: ``bay``: customers' cars come to the bays; ``home``: cars appear and disappear at AGVs' homes.
-        bays: street places, aligned with ``graph.bays``; empty when hand-over is at home.
+        bay_sites: street places of each bay, by the bay's vertex and in the order of ``graph.bays``; empty when
+            hand-over is at home. No other number of a bay finds a site.
         charging_station_of_edge: id of the chargingStation on an edge into a charger, by edge index. An AGV stands
             on the edge it came by, so a charger with several edges in has a station on each.
         street: the street, or None when hand-over is at home.
@@ -94,7 +93,7 @@ class GarageNet:
     net_file: Path
     additional_file: Path
     handover: Literal["bay", "home"]
-    bays: tuple[BaySite, ...]
+    bay_sites: Mapping[int, BaySite]
     charging_station_of_edge: Mapping[int, str]
     street: Street | None
     shapes: tuple[FloatArray, ...]
@@ -162,15 +161,15 @@ def _read(net_file: Path, additional_file: Path, _versions: tuple[object, ...]) 
     graph = _graph(net, additional_file.name.removesuffix(".add.xml"), net_file)
     if not graph.bays:
         raise NetError(f"{net_file}: the net has no bays: mark a junction with the parameter garage.bay")
-    street, bays = _bay_sites(net, extra, graph, net_file)
+    street, bay_sites = _bay_sites(net, extra, graph, net_file)
     edge_of = {edge: e for e, edge in enumerate(graph.edge_names)}
     rows = [net.edges[edge] for edge in graph.edge_names]
     return GarageNet(
         graph=graph,
         net_file=net_file,
         additional_file=additional_file,
-        handover="bay" if bays else "home",
-        bays=bays,
+        handover="bay" if bay_sites else "home",
+        bay_sites=bay_sites,
         charging_station_of_edge={
             edge_of[lane.edge]: station
             for station, lane_id in extra.stations.items()
@@ -362,7 +361,7 @@ def _roles(net: _Net, used: set[str], source: Path) -> dict[Role, list[str]]:
     return {role: [junction for _, junction in sorted(rows)] for role, rows in ranked.items()}
 
 
-def _bay_sites(net: _Net, extra: _Extra, graph: Graph, source: Path) -> tuple[Street | None, tuple[BaySite, ...]]:
+def _bay_sites(net: _Net, extra: _Extra, graph: Graph, source: Path) -> tuple[Street | None, dict[int, BaySite]]:
     areas = {(use.get("garage.bay", ""), use.get("garage.use", "")): area for area, use in extra.uses.items()}
     if not areas:
         stray = sorted(set(graph.bays) - set(graph.homes))
@@ -370,9 +369,9 @@ def _bay_sites(net: _Net, extra: _Extra, graph: Graph, source: Path) -> tuple[St
             raise NetError(
                 f"{source}: bay {graph.names[stray[0]]!r} has no parkingArea with garage.bay, and is no home either"
             )
-        return None, ()
+        return None, {}
     street = _street(net, source)
-    sites = []
+    sites = {}
     for vertex in graph.bays:
         for use in ("in", "out"):
             if (graph.names[vertex], use) not in areas:
@@ -380,16 +379,13 @@ def _bay_sites(net: _Net, extra: _Extra, graph: Graph, source: Path) -> tuple[St
         in_area, out_area = (areas[graph.names[vertex], use] for use in ("in", "out"))
         in_edge, out_edge = (_area_edge(net, extra, area, source) for area in (in_area, out_area))
         onward = _street_route(net, in_edge, street.exit_edge, source)
-        sites.append(
-            BaySite(
-                vertex,
-                in_area,
-                out_area,
-                _street_route(net, street.queue_edge, in_edge, source) + onward[1:],
-                _street_route(net, out_edge, street.exit_edge, source),
-            )
+        sites[vertex] = BaySite(
+            in_area,
+            out_area,
+            _street_route(net, street.queue_edge, in_edge, source) + onward[1:],
+            _street_route(net, out_edge, street.exit_edge, source),
         )
-    return street, tuple(sites)
+    return street, sites
 
 
 def _street(net: _Net, source: Path) -> Street:

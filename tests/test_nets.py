@@ -101,7 +101,7 @@ def test_thesis_homes_are_bays_in_the_papers_order(nets: dict[str, GarageNet]) -
     for name in THESIS:
         assert nets[name].graph.bays == nets[name].graph.homes
         assert nets[name].street is None
-        assert nets[name].bays == ()
+        assert nets[name].bay_sites == {}
     graph = nets["map1_thesis"].graph
     assert [graph.names[v] for v in graph.homes] == ["c0_2", "c0_3", "c0_4", "c0_1"]
 
@@ -150,10 +150,10 @@ def test_bodies_have_room(nets: dict[str, GarageNet], name: str, standing_m: flo
 def test_bays_have_their_places_on_the_street(nets: dict[str, GarageNet], name: str) -> None:
     net = nets[name]
     assert net.street is not None
-    assert [site.vertex for site in net.bays] == list(net.graph.bays)
-    areas = [area for site in net.bays for area in (site.in_area, site.out_area)]
-    assert len(set(areas)) == 2 * len(net.bays)
-    for site in net.bays:
+    assert list(net.bay_sites) == list(net.graph.bays)
+    areas = [area for site in net.bay_sites.values() for area in (site.in_area, site.out_area)]
+    assert len(set(areas)) == 2 * len(net.bay_sites)
+    for site in net.bay_sites.values():
         assert (site.in_route[0], site.in_route[-1]) == (net.street.queue_edge, net.street.exit_edge)
         assert site.out_route[-1] == net.street.exit_edge
     assert net.street.queue_m >= 6 * 7.5
@@ -204,7 +204,7 @@ def test_what_we_add_survives_netedit(tmp_path: Path) -> None:
     assert again.graph.roles == shipped.graph.roles
     assert again.graph.edge_names == shipped.graph.edge_names
     assert (again.bidi == shipped.bidi).all()
-    assert again.bays == shipped.bays
+    assert again.bay_sites == shipped.bay_sites
     assert again.street == shipped.street
 
 

@@ -8,6 +8,7 @@ when an AGV has lifted it, and appears again at the outbound parkingArea when an
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -50,7 +51,7 @@ class Customers:
         self.events: list[PlantEvent] = []
         self._api = api
         self._street: Street | None = garage.street
-        self._bays: tuple[BaySite, ...] = garage.bays
+        self._sites: Mapping[int, BaySite] = garage.bay_sites
         self._backlog: deque[str] = deque()
         self._patience = 0  # steps until the entry edge is looked at again
         self._entering = ""  # offered to SUMO, not on the street yet
@@ -63,7 +64,7 @@ class Customers:
         self._impatient: set[str] = set()  # told to drive off before they stood in SUMO
         if self._street is not None:
             api.route.add("customer_in", (self._street.entry_edge, self._street.queue_edge))
-            for bay, site in enumerate(self._bays):
+            for bay, site in self._sites.items():
                 api.route.add(f"bay_in{bay}", tuple(site.in_route))
                 api.route.add(f"bay_out{bay}", tuple(site.out_route))
 
@@ -146,7 +147,7 @@ class Customers:
     def _send(self, car: str, bay: int) -> None:
         """Drive on from the hold line, or without stopping there; refused on a junction, so wait for the next edge."""
         assert self._street is not None
-        vehicle, site = self._api.vehicle, self._bays[bay]
+        vehicle, site = self._api.vehicle, self._sites[bay]
         road = vehicle.getRoadID(car)
         if road.startswith(":"):
             return
@@ -171,7 +172,7 @@ class Customers:
     def _offer_place(self, car: str, bay: int) -> None:
         self._outbound[bay] = car
         self._api.vehicle.add(car, f"bay_out{bay}", CUSTOMER_OUT, departPos="stop", departSpeed="0")
-        self._api.vehicle.setParkingAreaStop(car, self._bays[bay].out_area, duration=_FOREVER_S)
+        self._api.vehicle.setParkingAreaStop(car, self._sites[bay].out_area, duration=_FOREVER_S)
 
     def _stand_outbound(self, car: str) -> None:
         self._leaving[car] = self._placing.pop(car)
