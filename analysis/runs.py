@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel
 
 from analysis.metrics import METRICS, run_metrics
+from analysis.parquet import parquet_rows, quoted
 from analysis.tables import load_run
 from parking_sim.record import COLUMNS
 
@@ -96,8 +97,8 @@ class Runs:
         database.execute("CREATE TABLE runs AS SELECT * FROM frame")
         database.unregister("frame")
         for table in COLUMNS:
-            files = {folder / f"{table}.parquet": run for run, folder in self.folders.items()}
-            recorded = {str(path): run for path, run in files.items() if path.is_file()}
+            files = {run: (folder / f"{table}.parquet").resolve() for run, folder in self.folders.items()}
+            recorded = {run: path for run, path in files.items() if path.is_file()}
             if recorded:
                 database.execute(f"CREATE VIEW {table} AS {_over(recorded)}")
         return database
@@ -194,18 +195,13 @@ def _run_row(run: str, folder: Path) -> dict[str, Any]:
     return {"run": run, "status": loaded.meta.get("status"), **scenario, **{key: metrics.get(key) for key in METRICS}}
 
 
-def _over(files: Mapping[str, str]) -> str:
-    """The query for one table over all files, whose names stand for their runs."""
-    listed = ", ".join(_quoted(file) for file in files)
-    named = ", ".join(f"({_quoted(file)}, {_quoted(run)})" for file, run in files.items())
+def _over(files: Mapping[str, Path]) -> str:
+    """The query for one table over all runs, each with its file."""
+    named = ", ".join(f"({quoted(str(file))}, {quoted(run)})" for run, file in files.items())
     return (
-        f"SELECT names.run, rows.* EXCLUDE (filename) FROM read_parquet([{listed}], filename = true) AS rows"
+        f"SELECT names.run, rows.* EXCLUDE (filename) FROM {parquet_rows(list(files.values()))} AS rows"
         f" JOIN (VALUES {named}) AS names(file, run) ON rows.filename = names.file"
     )
-
-
-def _quoted(text: str) -> str:
-    return "'" + text.replace("'", "''") + "'"
 
 
 def _described(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, str]]:

@@ -9,6 +9,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from analysis.parquet import parquet_rows
 from parking_sim.folders import JOURNAL
 from parking_sim.journal import read_journal
 from parking_sim.record import COLUMNS, Recorder
@@ -143,7 +144,6 @@ def _read_parquet(folder: Path, table: str) -> pd.DataFrame:
     import duckdb
 
     with duckdb.connect(config={"threads": 1}) as connection:
-        frame: pd.DataFrame = connection.execute(
-            "SELECT * FROM read_parquet(?)", [str(folder / f"{table}.parquet")]
-        ).df()
+        rows = parquet_rows([folder / f"{table}.parquet"])
+        frame: pd.DataFrame = connection.execute(f"SELECT * EXCLUDE (filename) FROM {rows}").df()
     return frame

@@ -12,8 +12,12 @@ RUN_FILE = "run.json"
 #: A folder that holds this one holds a run that has not ended, see ``parking_sim.journal``.
 JOURNAL = "journal.jsonl"
 
-#: What SUMO makes of these in the name of a file.
-_SUMO_READS = {",": "a comma as the end of a path", "%": "a per cent sign as the code of a character"}
+#: What is not written to a folder with these in its name, and why.
+_UNREADABLE = {
+    ",": "SUMO reads a comma as the end of a path",
+    "%": "SUMO reads a per cent sign as the code of a character",
+    "\\": "DuckDB reads a backslash as a sign of its own",
+}
 _SUFFIXES = {".parquet", ".json", ".jsonl", ".html", ".xml", ".gz", ".sumocfg", ".yaml", ".svg", ".png"}
 
 
@@ -26,7 +30,7 @@ def check_folder(folder: Path, force: bool) -> None:
 
     Raises:
         InputError: it can't be written, holds an earlier run and ``force`` is not set, or holds something else; or SUMO
-            can't name it.
+            or DuckDB can't name it.
     """
     check_path(folder)
     try:
@@ -49,13 +53,13 @@ def check_folder(folder: Path, force: bool) -> None:
 
 
 def check_path(folder: Path) -> None:
-    """Make sure that SUMO understands the name of a folder.
+    """Make sure that SUMO and DuckDB understand the name of a folder.
 
     Raises:
         InputError: it doesn't.
     """
-    if found := next((c for c in str(folder.resolve()) if c in _SUMO_READS), None):
-        raise InputError(f"--out: {folder}: SUMO reads {_SUMO_READS[found]}; give a folder without one")
+    if found := next((c for c in str(folder.resolve()) if c in _UNREADABLE), None):
+        raise InputError(f"--out: {folder}: {_UNREADABLE[found]}; give a folder without one")
 
 
 def clear_run(folder: Path) -> None:

@@ -52,6 +52,7 @@ MISTAKES: list[tuple[str, str]] = [
     ("runn", "No such command"),
     ("run map1 --out a,b", "SUMO reads a comma as the end of a path"),
     ("run map1 --out 50%", "SUMO reads a per cent sign"),
+    ("run map1 --out a\\b", "DuckDB reads a backslash"),
     ("run", "scenario"),
     ("run map1 --agv", "No such option"),
     ("run map1 --agvs", "--agvs"),
