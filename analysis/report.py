@@ -6,12 +6,12 @@ import hashlib
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.checks import failed_checks, run_checks
 from analysis.deadlocks import deadlocks, draw, why
 from analysis.figures import figures, words
 from analysis.metrics import METRICS, Metrics, run_metrics
@@ -35,15 +35,6 @@ _THESIS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Check:
-    """Something that must hold in a run: what, whether it does (None: not known), and the figures behind it."""
-
-    text: str
-    passed: bool | None
-    figures: str
-
-
 def write_report(folder: Path) -> Path:
     """Write ``report.html`` into the folder of a run.
 
@@ -63,7 +54,7 @@ def write_report(folder: Path) -> Path:
         run=run,
         title=page_title(run),
         headlines=headlines(run, metrics),
-        checks=checks(run, metrics),
+        checks=run_checks(run.meta, metrics),
         tiles=_tiles(metrics),
         asked=_asked(run.meta.get("scenario") or {}),
         service=_service(metrics),
@@ -137,39 +128,6 @@ def headlines(run: Run, metrics: Metrics) -> list[str]:
     return lines
 
 
-def checks(run: Run, metrics: Metrics) -> list[Check]:
-    """What must hold in every run.
-
-    Args:
-        run: a record.
-        metrics: its metrics.
-
-    Returns:
-        The checks, in the order of a reader's worry. That every task was done is not asked of a run whose scenario
-        gives a duration: some tasks are under way when it ends.
-    """
-    m = metrics
-    wanted, clearance = m["tasks_wanted"], m["least_clearance_m"]
-    near = f"the nearest two bodies kept {clearance:.2f} m" if _known(clearance) else ""
-    cars = ", ".join(f"{name.replace('_', ' ')} {number(m[f'cars_{name}'])}" for name in _CAR_NAMES)
-    endless = (run.meta.get("scenario") or {}).get("duration_s") is None
-    done = Check(
-        "Every task was done",
-        m["tasks_done"] >= wanted if _known(wanted) else None,
-        f"{m['tasks_done']} of {number(wanted)}, {m['requests_waiting']} waiting, {m['requests_refused']} refused",
-    )
-    problems = "; ".join(str(problem) for problem in run.meta.get("audit") or [])
-    conserved = bool(m["cars_conserved"]) and not problems if _known(m["cars_conserved"]) else None
-    return [
-        Check("No collision in SUMO", _is_zero(m["sumo_collisions"]), number(m["sumo_collisions"])),
-        Check("No overlap seen by the independent check", _is_zero(m["footprint_overlaps"]), near),
-        Check("Every deadlock was resolved", m["deadlocks_unresolved"] <= 0, f"{m['deadlocks_found']} found"),
-        *([done] if endless else []),
-        Check("Every request is accounted for", bool(m["requests_conserved"]), f"{m['requests']} requests"),
-        Check("Every car is accounted for", conserved, problems or cars),
-    ]
-
-
 def deadlock_stories(run: Run) -> list[dict[str, str]]:
     """Each deadlock told from its events.
 
@@ -241,15 +199,8 @@ def number(value: float | int) -> str:
     return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
-_CAR_NAMES = ("arrived", "parked", "left", "in_transit")
-
-
 def _known(value: float | int) -> bool:
     return bool(np.isfinite(value))
-
-
-def _is_zero(value: float | int) -> bool | None:
-    return value == 0 if _known(value) else None
 
 
 def _span(seconds: float) -> str:
@@ -363,7 +314,7 @@ def _index_row(folder: Path, base: Path) -> dict[str, Any]:
         "title": page_title(run),
         "link": Path(os.path.relpath(target, base)).as_posix(),
         "status": run.meta.get("status", "–"),
-        "passed": all(check.passed is not False for check in checks(run, metrics)),
+        "passed": not failed_checks(run_checks(run.meta, metrics)),
         "done": f"{number(metrics['tasks_done'])} / {number(metrics['tasks_wanted'])}",
         "cells": [
             _minutes(metrics["retrieval_wait_p50_s"]),

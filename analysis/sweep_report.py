@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from analysis.checks import RULES
 from analysis.figures import Drawing, style, svg
 from analysis.measures import MEASURES, Interval, interval, measure_runs
 from analysis.report import environment, number, write_page
@@ -25,11 +26,6 @@ SHOWN = (
     "queue_mean", "deadlocks_per_hour",
 )  # fmt: skip
 _DRAWN = ("retrieval_wait_p95_s", "tasks_per_hour", "deadlocks_per_hour")
-_CHECKS = {
-    "No collision in SUMO": "sumo_collisions",
-    "No overlap seen by the independent check": "footprint_overlaps",
-    "Every deadlock was resolved": "deadlocks_unresolved",
-}
 _MOST_LINES = 6
 
 
@@ -169,13 +165,11 @@ def _row(variant: Variant) -> list[str]:
 def _checks(frame: pd.DataFrame) -> list[tuple[str, bool, str]]:
     """What must hold in every run: what, whether it does, and in how many it doesn't."""
     rows = []
-    for text, key in _CHECKS.items():
-        wrong = int((frame[key].fillna(0) > 0).sum())
-        rows.append((text, wrong == 0, f"{wrong} of {len(frame)} runs" if wrong else f"in all {len(frame)} runs"))
-    for text, key in (("Every request is accounted for", "requests_conserved"), ("Every car", "cars_conserved")):
-        wrong = int((frame[key] == 0).sum())
-        full = text if text.endswith("for") else f"{text} is accounted for"
-        rows.append((full, wrong == 0, f"not in {wrong} runs" if wrong else f"in all {len(frame)} runs"))
+    for text, (key, right) in RULES.items():
+        wrong = int((frame[key].fillna(right) != right).sum())
+        rows.append(
+            (text, wrong == 0, f"not in {wrong} of {len(frame)} runs" if wrong else f"in all {len(frame)} runs")
+        )
     return rows
 
 

@@ -91,19 +91,7 @@ def comparison(summaries: Mapping[str, Summary]) -> list[str]:
 
 def complaints_of(summary: Summary) -> list[str]:
     """What was incomplete or unsafe in a run, one line each; empty if all was well."""
-    metrics = summary.metrics
-    complaints = [] if summary.status == "finished" else [f"ended with status {summary.status!r}"]
-    if metrics["tasks_done"] != metrics["tasks_wanted"]:
-        complaints.append(f"{metrics['tasks_done']} of {metrics['tasks_wanted']} tasks done")
-    if metrics["deadlocks_unresolved"]:
-        complaints.append(f"{metrics['deadlocks_unresolved']} deadlocks not resolved")
-    for key in ("requests_conserved", "cars_conserved"):
-        if not metrics[key]:
-            complaints.append(f"{key.split('_')[0]} not conserved")
-    for key in ("sumo_collisions", "footprint_overlaps"):
-        if metrics[key]:
-            complaints.append(f"{metrics[key]} {key.replace('_', ' ')}")
-    return complaints
+    return [*([] if summary.status == "finished" else [f"ended with status {summary.status!r}"]), *summary.failed]
 
 
 def results_table(summaries: Mapping[str, Summary]) -> Table:

@@ -54,11 +54,13 @@ class Summary:
         status: finished, time_limit (its duration or limit is over), stalled or interrupted.
         metrics: see ``analysis.metrics.METRICS``.
         folder: where the record is, None if none was written.
+        failed: checks that failed, one line each; see ``analysis.checks``.
     """
 
     status: str
     metrics: Mapping[str, Any]
     folder: Path | None
+    failed: tuple[str, ...] = ()
 
 
 def simulate(
@@ -360,15 +362,18 @@ class _Run:
         for i, agv in enumerate(self.acs.agvs):
             self.recorder.agv(self._agv_row(i, agv.tasks))
         meta = self._meta(status)
+        from analysis.checks import failed_checks, run_checks
         from analysis.metrics import run_metrics, write_metrics
         from analysis.tables import recorded_run
 
         if out is None:
-            return Summary(status, run_metrics(recorded_run(self.recorder, meta)), None)
-        self.recorder.write(out, meta)
-        if self.journal is not None:
-            self.journal.close(finished=True)
-        return Summary(status, write_metrics(out), out)
+            metrics = run_metrics(recorded_run(self.recorder, meta))
+        else:
+            self.recorder.write(out, meta)
+            if self.journal is not None:
+                self.journal.close(finished=True)
+            metrics = write_metrics(out)
+        return Summary(status, metrics, out, failed_checks(run_checks(meta, metrics)))
 
     def _task_row(self, job: Job) -> TaskRow:
         def name(vertex: int) -> str:

@@ -9,9 +9,10 @@ from xml.etree import ElementTree
 import pytest
 from test_analysis_runs import synthetic_meta, synthetic_recorder
 
+from analysis.checks import failed_checks, run_checks
 from analysis.figures import FIGURES, figures
 from analysis.metrics import run_metrics
-from analysis.report import checks, deadlock_stories, headlines, incidents, number, write_index, write_report
+from analysis.report import deadlock_stories, headlines, incidents, number, write_index, write_report
 from analysis.tables import load_run, recorded_run
 from parking_sim.record import Recorder, TaskRow
 
@@ -45,7 +46,7 @@ def test_report_holds_the_headline_numbers(folder: Path, page: str) -> None:
         "tasks.parquet",
     ):
         assert needed in page
-    for check in checks(run, metrics):
+    for check in run_checks(run.meta, metrics):
         assert check.text in page
     assert "not resolved" in page
     assert "partial CBS (no solution)" in page
@@ -122,7 +123,7 @@ def test_incidents_and_failed_checks_are_told() -> None:
     recorder.task(TaskRow(0, "park", "c", "waiting"))
     run = recorded_run(recorder, {"sumo_collisions": 0, "footprint_overlaps": 1, "tasks_wanted": 1})
     assert incidents(run) == [("0:00:05", "overlap", "AGV 3", 'a {"others":[4]}')]
-    passed = {check.text: check.passed for check in checks(run, run_metrics(run))}
+    passed = {check.text: check.passed for check in run_checks(run.meta, run_metrics(run))}
     assert passed == {
         "No collision in SUMO": True,
         "No overlap seen by the independent check": False,
@@ -131,12 +132,22 @@ def test_incidents_and_failed_checks_are_told() -> None:
         "Every request is accounted for": False,
         "Every car is accounted for": None,
     }
+    assert failed_checks(run_checks(run.meta, run_metrics(run))) == (
+        "No overlap seen by the independent check: no (1 overlaps)",
+        "Every request is accounted for: no (1 requests)",
+        "Every task was done: no (0 of 1, 1 waiting, 0 refused)",
+    )
     counted = {"cars_initial": 0, "cars_arrived": 1, "cars_parked": 1, "cars_left": 0, "cars_in_transit": 0}
     for audit, expected in (([], True), (["car c is in no slot"], False)):
         audited = recorded_run(recorder, {**run.meta, **counted, "audit": audit})
-        assert checks(audited, run_metrics(audited))[-1].passed is expected
+        assert (
+            next(
+                c for c in run_checks(audited.meta, run_metrics(audited)) if c.text == "Every car is accounted for"
+            ).passed
+            is expected
+        )
     timed = recorded_run(recorder, {**run.meta, "scenario": {"duration_s": 7200.0}})
-    assert "Every task was done" not in {check.text for check in checks(timed, run_metrics(timed))}
+    assert "Every task was done" not in {check.text for check in run_checks(timed.meta, run_metrics(timed))}
 
 
 def test_index_links_to_reports_next_to_it(folder: Path, page: str) -> None:

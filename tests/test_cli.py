@@ -232,23 +232,10 @@ FINISHED = {
 }
 
 
-@pytest.mark.parametrize(
-    ("status", "change", "complaint"),
-    [
-        ("finished", {}, None),
-        ("stalled", {}, "ended with status 'stalled'"),
-        ("finished", {"tasks_done": 3}, "3 of 4 tasks done"),
-        ("finished", {"sumo_collisions": 2}, "2 sumo collisions"),
-        ("finished", {"footprint_overlaps": 1}, "1 footprint overlaps"),
-        ("finished", {"deadlocks_unresolved": 1}, "1 deadlocks not resolved"),
-        ("finished", {"cars_conserved": 0}, "cars not conserved"),
-    ],
-)
-def test_the_demo_complains_of_all_that_is_incomplete_or_unsafe(
-    status: str, change: dict[str, int], complaint: str | None
-) -> None:
-    summary = Summary(status, {**FINISHED, **change}, None)
-    assert complaints_of(summary) == ([complaint] if complaint else [])
+def test_the_demo_complains_of_all_that_is_incomplete_or_unsafe() -> None:
+    assert complaints_of(Summary("finished", FINISHED, None)) == []
+    failed = "No collision in SUMO: no (2 collisions)"
+    assert complaints_of(Summary("stalled", FINISHED, None, (failed,))) == ["ended with status 'stalled'", failed]
 
 
 def test_the_demo_table_fits_a_narrow_terminal() -> None:
