@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from analysis.measures import MEASURES, Interval, interval, measure_runs, t_quantile
 from analysis.runs import Runs, load_runs
+from analysis.variants import value_text
 from parking_sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,6 +32,9 @@ HEADLINES = (
     "retrieval_wait_mean_s", "retrieval_wait_p50_s", "retrieval_wait_p95_s", "park_queue_mean_s", "park_total_mean_s",
     "tasks_per_hour", "queue_mean", "deadlocks_per_hour",
 )  # fmt: skip
+
+#: Variants that a complaint names at most.
+_NAMED = 8
 
 #: An interval is short enough when half of it is at most this share of the first variant's mean.
 PRECISION = 0.05
@@ -80,7 +84,8 @@ def select_runs(choice: str) -> Runs:
     """The runs of one variant.
 
     Args:
-        choice: a folder, and behind a colon what picks a variant in it: ``runs/sweep:agvs=4,planner=whca``.
+        choice: a folder, and behind a colon what picks a variant in it: its name (``runs/sweep:breakdown at noon``), or
+            parts of it and keys of its scenarios (``runs/sweep:saturday,agvs=4``).
 
     Returns:
         Its runs, each with a seed of its own.
@@ -88,40 +93,52 @@ def select_runs(choice: str) -> Runs:
     Raises:
         InputError: no such runs, or those of several variants.
     """
-    name, _, conditions = choice.partition(":")
+    folder, wanted = split_choice(choice)
     try:
-        runs = load_runs(Path(name))
-    except FileNotFoundError as error:
+        runs = load_runs(Path(folder))
+    except (FileNotFoundError, NotADirectoryError) as error:
         raise InputError(f"{choice}: {error}") from None
     frame = runs.runs.df()
-    for condition in filter(None, conditions.split(",")):
-        key, _, value = condition.partition("=")
-        if key not in frame:
-            raise InputError(f"{choice}: {key}: no such key; these vary: {', '.join(varying(frame)) or 'none'}")
-        found = frame[[_same(cell, value) for cell in frame[key]]]
-        if found.empty:
-            given = ", ".join(dict.fromkeys(str(cell) for cell in frame[key]))
-            raise InputError(f"{choice}: {key}: {value!r}: no such run; there are {given}")
-        frame = found
-    several = varying(frame)
-    if several:
-        example = f"{name}:{','.join(f'{key}={_plain(frame[key].iloc[0])}' for key in several)}"
-        raise InputError(f"{choice}: has several variants: pick one, such as {example}")
-    return Runs({run: runs.folders[run] for run in frame["run"]}, runs.varied, runs.failures)
+    names = list(dict.fromkeys(frame["variant"]))
+    if wanted in names:
+        return runs.only(frame["run"][frame["variant"] == wanted].tolist())
+    for condition in filter(None, wanted.split(",")):
+        frame = _where(frame, runs, condition.strip(), choice)
+    left = list(dict.fromkeys(frame["variant"]))
+    if len(left) > 1:
+        others = "; ".join(left[:_NAMED]) + ("; ..." if len(left) > _NAMED else "")
+        raise InputError(f"{choice}: has several variants: pick one, such as {folder}:{left[0]}; there are {others}")
+    return runs.only(frame["run"].tolist())
 
 
-def varying(frame: pd.DataFrame) -> list[str]:
-    """Keys of the scenario that differ among runs, besides the seed.
+def split_choice(choice: str) -> tuple[str, str]:
+    """The folder and what picks a variant in it, "" for all; colons may be in the names of both."""
+    if Path(choice).is_dir():
+        return choice, ""
+    places = [place for place, letter in enumerate(choice) if letter == ":"]
+    folder = next((choice[:at] for at in reversed(places) if Path(choice[:at]).is_dir()), choice.partition(":")[0])
+    return folder, choice[len(folder) + 1 :]
 
-    Args:
-        frame: table ``runs``.
-    """
-    from analysis.metrics import METRICS
-    from analysis.runs import run_columns
 
-    known = set(run_columns()) - set(METRICS) - {"run", "status", "seed"}
-    others = {column for column in frame if str(column).startswith("planner_options.")}
-    return [str(c) for c in frame if c in known | others and frame[c].nunique(dropna=False) > 1]
+def _where(frame: pd.DataFrame, runs: Runs, condition: str, choice: str) -> pd.DataFrame:
+    """The rows of runs for which a condition holds: ``key=value``, or a variant's name or part of it."""
+    key, equals, value = condition.partition("=")
+    shown = [runs.variants[run].shown for run in frame["run"]]
+    cells: list[list[object]]
+    if equals and any(key in of for of in shown):
+        cells = [[of.get(key)] for of in shown]
+    elif equals and key in frame:
+        cells = [[cell] for cell in frame[key].tolist()]
+    elif equals:
+        raise InputError(f"{choice}: {key}: no such key; these vary: {', '.join(runs.varied) or 'none'}")
+    else:
+        key, value = "variant", condition
+        cells = [[name, *of.values()] for name, of in zip(frame["variant"], shown, strict=True)]
+    found = frame[[any(_same(cell, value) for cell in row) for row in cells]]
+    if found.empty:
+        given = "; ".join(dict.fromkeys(value_text(row[0]) for row in cells))
+        raise InputError(f"{choice}: {key}: {value!r}: no such run; there are {given}")
+    return found
 
 
 def compare(
@@ -242,13 +259,9 @@ def _number(value: float) -> str:
 
 def _same(cell: object, wanted: str) -> bool:
     try:
-        return float(str(cell)) == float(wanted)
+        return float(value_text(cell)) == float(wanted)
     except ValueError:
-        return str(cell) == wanted
-
-
-def _plain(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
+        return value_text(cell) == wanted
 
 
 def table_rows(comparison: Comparison) -> list[Mapping[str, str]]:
@@ -298,9 +311,9 @@ def write_comparison(comparison: Comparison, path: Path) -> Path:
 
 
 def variant_names(a: str, b: str) -> tuple[str, str]:
-    """Short names of two variants that differ: what follows the colon, or the folder's name, or all that was given."""
-    for short in (lambda c: c.partition(":")[2], lambda c: Path(c.partition(":")[0]).name):
-        names = (short(a), short(b))
+    """Short names of two variants that differ: what picks them, or their folders' names, or all that was given."""
+    (folder_a, wanted_a), (folder_b, wanted_b) = split_choice(a), split_choice(b)
+    for names in ((wanted_a, wanted_b), (Path(folder_a).name, Path(folder_b).name)):
         if all(names) and names[0] != names[1]:
             return names
     return a, b

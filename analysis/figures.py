@@ -39,6 +39,7 @@ _STYLE: dict[Any, Any] = {
     "font.size": 9,
     "font.family": "sans-serif",
     "svg.fonttype": "none",
+    "text.parse_math": False,
     "svg.hashsalt": "parking-sim",
     "axes.spines.top": False,
     "axes.spines.right": False,

@@ -236,10 +236,11 @@ def _deadlock_line(m: Metrics) -> str:
 
 
 def page_title(run: Run) -> str:
-    """Garage, fleet, planner and seed, as far as they are known."""
+    """The variant of its sweep, garage, fleet, planner and seed, as far as they are known."""
     scenario = run.meta.get("scenario") or {}
     agvs = scenario.get("agvs", len(run.agvs))
-    parts = [scenario.get("garage") or run.meta.get("map") or run.name, _count(int(agvs), "AGV")]
+    garage = run.meta.get("map") or scenario.get("garage") or run.name
+    parts = [*filter(None, [run.variant]), garage, _count(int(agvs), "AGV")]
     parts += [scenario[key] for key in ("planner",) if key in scenario]
     if "seed" in run.meta:
         parts.append(f"seed {run.meta['seed']}")

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +23,7 @@ from pydantic import BaseModel
 from analysis.metrics import METRICS, run_metrics
 from analysis.parquet import parquet_rows, quoted
 from analysis.tables import load_run
+from analysis.variants import Variant, by_scenario, flatten
 from parking_sim.record import COLUMNS
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 #: Columns of the table ``runs`` that are neither keys of the scenario nor metrics -> (unit, meaning).
 _RUN_COLUMNS: Mapping[str, tuple[str, str]] = {
     "run": ("", "the run: its folder, from the folder that was loaded; the same in all tables"),
+    "variant": ("", "what the run is one of, besides its seed: the name in its sweep, or the keys that differ"),
     "status": ("", "how it ended: finished, time_limit, stalled or interrupted"),
 }
 
@@ -42,13 +44,27 @@ class Runs:
 
     Attributes:
         folders: each run's name in the tables -> the folder with its record.
-        varied: keys of the scenario in which these runs were meant to differ, besides the seed; of a sweep.
-        failures: the runs of a sweep that failed: ``run``, ``seed``, ``varied`` and ``error`` of each.
+        planned: each run's variant as its sweep has it; None if the runs are not those of a sweep.
+        failures: the runs of a sweep that failed: ``run``, ``variant``, ``seed`` and ``error`` of each.
     """
 
     folders: Mapping[str, Path]
-    varied: tuple[str, ...] = ()
+    planned: Mapping[str, Variant] | None = None
     failures: tuple[Mapping[str, Any], ...] = ()
+
+    @cached_property
+    def variants(self) -> Mapping[str, Variant]:
+        """Each run's variant: its sweep's, or made of the keys in which the scenarios differ."""
+        return self.planned or by_scenario({run: _what_decides(meta) for run, meta in self._metas.items()})
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """The keys by which the variants are shown, in order."""
+        return tuple(dict.fromkeys(key for variant in self.variants.values() for key in variant.shown))
+
+    def only(self, runs: Sequence[str]) -> Runs:
+        """Some of the runs, with their variants."""
+        return Runs({run: self.folders[run] for run in runs}, {run: self.variants[run] for run in runs}, self.failures)
 
     @property
     def runs(self) -> duckdb.DuckDBPyRelation:
@@ -88,11 +104,26 @@ class Runs:
         return self._database.sql(query)
 
     @cached_property
+    def _metas(self) -> Mapping[str, Mapping[str, Any]]:
+        return {run: load_run(folder).meta for run, folder in self.folders.items()}
+
+    def _row(self, run: str) -> dict[str, Any]:
+        """The run's row of the table ``runs``."""
+        meta, file = self._metas[run], self.folders[run] / "metrics.json"
+        known = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else run_metrics(load_run(file.parent))
+        scenario = {
+            key: json.dumps(value) if isinstance(value, list) else value
+            for key, value in flatten(meta.get("scenario") or {}).items()
+        }
+        head = {"run": run, "variant": self.variants[run].name, "status": meta.get("status")}
+        return {**head, **scenario, **{key: known.get(key) for key in METRICS}}
+
+    @cached_property
     def _database(self) -> duckdb.DuckDBPyConnection:
         import duckdb
 
         database = duckdb.connect()
-        frame = _runs_frame(self.folders)
+        frame = _runs_frame([self._row(run) for run in self.folders])
         database.register("frame", frame)
         database.execute("CREATE TABLE runs AS SELECT * FROM frame")
         database.unregister("frame")
@@ -124,8 +155,9 @@ def load_runs(folder: Path) -> Runs:
     rows = json.loads(plan.read_text(encoding="utf-8"))["runs"]
     folders = {row["run"]: folder / "runs" / row["run"] for row in rows}
     done = {run: path for run, path in folders.items() if (path / "metrics.json").is_file()}
-    varied = tuple(dict.fromkeys(key for row in rows for key in row["varied"]))
-    return Runs(_some(done, folder), varied, _failures(folder / "failures.json"))
+    named = {row["run"]: row for row in rows if row["run"] in done and "variant" in row}
+    planned = {run: Variant(row["variant"], dict(row["shown"])) for run, row in named.items()}
+    return Runs(_some(done, folder), planned, _failures(folder / "failures.json"))
 
 
 def run_columns() -> dict[str, tuple[str, str]]:
@@ -142,25 +174,6 @@ def run_columns() -> dict[str, tuple[str, str]]:
     return {**_RUN_COLUMNS, **scenario, **METRICS}
 
 
-def flatten(keys: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A scenario's keys joined by dots; lists become JSON text.
-
-    Args:
-        keys: keys and values, nested.
-        prefix: what the names begin with.
-
-    Returns:
-        Plain values.
-    """
-    flat: dict[str, Any] = {}
-    for key, value in keys.items():
-        if isinstance(value, Mapping):
-            flat |= flatten(value, f"{prefix}{key}.")
-        else:
-            flat[prefix + key] = json.dumps(value) if isinstance(value, list) else value
-    return flat
-
-
 def _some(folders: Mapping[str, Path], folder: Path) -> Mapping[str, Path]:
     if not folders:
         raise FileNotFoundError(f"no run in {folder}")
@@ -171,10 +184,9 @@ def _failures(path: Path) -> tuple[Mapping[str, Any], ...]:
     return tuple(json.loads(path.read_text(encoding="utf-8"))["failures"]) if path.is_file() else ()
 
 
-def _runs_frame(folders: Mapping[str, Path]) -> pd.DataFrame:
+def _runs_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     import pandas as pd
 
-    rows = [_run_row(run, folder) for run, folder in folders.items()]
     frame = pd.DataFrame(rows)
     order = list(run_columns())
     scenario = [column for column in frame if column not in _RUN_COLUMNS and column not in METRICS]
@@ -187,12 +199,9 @@ def _runs_frame(folders: Mapping[str, Path]) -> pd.DataFrame:
     return frame.astype(dict.fromkeys(METRICS, float))
 
 
-def _run_row(run: str, folder: Path) -> dict[str, Any]:
-    loaded = load_run(folder)
-    file = folder / "metrics.json"
-    metrics = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else run_metrics(loaded)
-    scenario = flatten(loaded.meta.get("scenario") or {})
-    return {"run": run, "status": loaded.meta.get("status"), **scenario, **{key: metrics.get(key) for key in METRICS}}
+def _what_decides(meta: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides a run's outcome besides the seed."""
+    return {key: value for key, value in (meta.get("scenario") or {}).items() if key != "seed"}
 
 
 def _over(files: Mapping[str, Path]) -> str:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from analysis.checks import RULES
@@ -15,6 +16,7 @@ from analysis.measures import MEASURES, Interval, interval, measure_runs
 from analysis.report import environment, number, write_page
 from analysis.runs import Runs, load_runs
 from analysis.tables import load_run
+from analysis.variants import NAME, Variant, label, value_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,19 +29,21 @@ SHOWN = (
 )  # fmt: skip
 _DRAWN = ("retrieval_wait_p95_s", "tasks_per_hour", "deadlocks_per_hour")
 _MOST_LINES = 6
+#: Letters of a variant's name on a line of a figure.
+_WIDEST = 36
 
 
 @dataclass(frozen=True)
-class Variant:
-    """The runs that differ in nothing but the seed.
+class Measured:
+    """The runs of one variant, which differ in nothing but the seed.
 
     Attributes:
-        values: the keys that vary in the sweep -> their values here.
+        variant: its name, and the keys that vary in the sweep with their values here.
         runs: number of runs.
         means: key of ``MEASURES`` -> mean over the runs with its interval.
     """
 
-    values: Mapping[str, Any]
+    variant: Variant
     runs: int
     means: Mapping[str, Interval]
 
@@ -69,19 +73,19 @@ def write_sweep_report(folder: Path, answers: Sequence[str] = (), answer_drawing
         asked=_asked(runs, frame),
         headlines=[*answers, *_headlines(runs, variants, frame)],
         heads=[*runs.varied, "runs", *(f"{MEASURES[key].words} ({MEASURES[key].unit})" for key in SHOWN)],
-        rows=[_row(variant) for variant in variants],
+        rows=[_row(measured, runs.varied) for measured in variants],
         drawings=[*answer_drawings, *_drawings(variants, runs.varied)],
         checks=_checks(frame),
-        failures=[{**failure, "varied": _words(failure["varied"])} for failure in runs.failures],
+        failures=runs.failures,
         code=json.loads(plan.read_text(encoding="utf-8"))["code"] if plan.is_file() else "",
         versions=sorted((meta.get("versions") or {}).items()),
         links=[(run, (path / "run.json").relative_to(folder).as_posix()) for run, path in runs.folders.items()],
-        runs=frame[["run", *runs.varied, "seed", "status"]].astype(str).to_numpy().tolist(),
+        runs=frame[["run", "variant", "seed", "status"]].astype(str).to_numpy().tolist(),
     )  # fmt: skip
     return write_page(folder / "report.html", page)
 
 
-def sweep_variants(runs: Runs, warmup_s: float = 0.0) -> list[Variant]:
+def sweep_variants(runs: Runs, warmup_s: float = 0.0) -> list[Measured]:
     """The measures of a sweep by variant.
 
     Args:
@@ -91,50 +95,54 @@ def sweep_variants(runs: Runs, warmup_s: float = 0.0) -> list[Variant]:
     Returns:
         One for each variant with a finished run, in the order of the sweep.
     """
-    import pandas as pd
-
-    measured = measure_runs(runs, warmup_s).drop(columns="seed").set_index("run")
-    values = runs.runs.df().set_index("run").reindex(columns=list(runs.varied))
+    values = measure_runs(runs, warmup_s).drop(columns="seed").set_index("run")
     groups: dict[str, list[str]] = {}
-    for run, row in values.iterrows():
-        groups.setdefault(json.dumps([_cell(value) for value in row]), []).append(str(run))
+    for run, variant in runs.variants.items():
+        groups.setdefault(variant.name, []).append(run)
     return [
-        Variant(
-            dict(zip(runs.varied, json.loads(key), strict=True)),
-            len(names),
-            {key_: interval(pd.Series(measured.loc[names, key_]).tolist()) for key_ in MEASURES},
+        Measured(
+            runs.variants[members[0]],
+            len(members),
+            {key: interval(values.loc[members, key].tolist()) for key in MEASURES},
         )
-        for key, names in groups.items()
+        for members in groups.values()
     ]
 
 
-def _cell(value: Any) -> Any:
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return None
-    plain = value.item() if hasattr(value, "item") else value
-    return int(plain) if isinstance(plain, float) and plain.is_integer() else plain
-
-
-def _words(values: Mapping[str, Any]) -> str:
-    return ", ".join(f"{key} {value}" for key, value in values.items()) or "the base scenario"
-
-
 def _asked(runs: Runs, frame: pd.DataFrame) -> list[tuple[str, str]]:
-    """What varies, the seeds, and what is the same in all runs."""
-    rows = [(key, ", ".join(dict.fromkeys(str(_cell(v)) for v in frame[key]))) for key in runs.varied if key in frame]
+    """What varies, the seeds, what is the same in all runs, and what stands behind the variants' names."""
+    variants = {variant.name: variant for variant in runs.variants.values()}
+    rows = [
+        (key, "; ".join(dict.fromkeys(value_text(v.shown[key]) for v in variants.values() if key in v.shown)))
+        for key in runs.varied
+    ]
     seeds = sorted(int(seed) for seed in frame["seed"].unique())
     whole = len(seeds) > 1 and seeds[-1] - seeds[0] == len(seeds) - 1
     rows.append(("seeds", f"{seeds[0]}..{seeds[-1]}" if whole else ", ".join(map(str, seeds))))
+    same = [str(key) for key in frame if frame[key].nunique(dropna=False) == 1 and frame[key].notna().all()]
     for key in ("garage", "agvs", "planner", "plant", "dispatch", "duration_s"):
-        if key in frame and key not in runs.varied and frame[key].notna().any():
-            rows.append((key, ", ".join(dict.fromkeys(str(_cell(value)) for value in frame[key]))))
-    columns = [str(c) for c in frame if str(c).startswith("workload.") and c not in runs.varied]
-    workload = [c for c in columns if frame[c].nunique() == 1]
-    rows.append(("workload", ", ".join(f"{c.partition('.')[2]} {_cell(frame[c].dropna().iloc[0])}" for c in workload)))
+        if key in same and key not in runs.varied:
+            rows.append((key, _cell_text(frame[key].iloc[0])))
+    workload = [key for key in same if key.startswith("workload.")]
+    if workload:
+        told = (f"{key.partition('.')[2]} {_cell_text(frame[key].iloc[0])}" for key in workload)
+        rows.append(("workload", ", ".join(told)))
+    if NAME in runs.varied:
+        scenarios = Runs(runs.folders).variants  # by the keys in which they differ
+        meant = {variant.name: scenarios[run].shown for run, variant in runs.variants.items()}
+        rows += [(name, label({k: v for k, v in shown.items() if v is not None})) for name, shown in meant.items()]
     return rows
 
 
-def _headlines(runs: Runs, variants: Sequence[Variant], frame: pd.DataFrame) -> list[str]:
+def _cell_text(value: Any) -> str:
+    """A cell of a table in words; ``null`` for one without a value."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "null"
+    plain = value.item() if hasattr(value, "item") else value
+    return value_text(int(plain) if isinstance(plain, float) and plain.is_integer() else plain)
+
+
+def _headlines(runs: Runs, variants: Sequence[Measured], frame: pd.DataFrame) -> list[str]:
     lines = [f"{len(frame)} runs of {len(variants)} variants have finished; {len(runs.failures)} failed."]
     waits = {i: v.means["retrieval_wait_p95_s"] for i, v in enumerate(variants)}
     known = {i: w for i, w in waits.items() if w.runs}
@@ -143,7 +151,7 @@ def _headlines(runs: Runs, variants: Sequence[Variant], frame: pd.DataFrame) -> 
         tied = sum(w.low <= known[best].high for w in known.values()) - 1
         also = f"; the intervals of {tied} others reach into its own" if tied else ""
         lines.append(
-            f"Customers waited least with {_words(variants[best].values)}: 19 of 20 had their car within"
+            f"Customers waited least with {variants[best].variant.name}: 19 of 20 had their car within"
             f" {_interval_words(known[best])} s of asking, mean over runs{also}."
         )
     if variants and max(variant.runs for variant in variants) < 2:
@@ -157,9 +165,10 @@ def _interval_words(value: Interval) -> str:
     return f"{number(value.mean)} ± {number(value.half)}"
 
 
-def _row(variant: Variant) -> list[str]:
-    means = [_interval_words(variant.means[key]) if variant.means[key].runs else "–" for key in SHOWN]
-    return [*("–" if value is None else str(value) for value in variant.values.values()), str(variant.runs), *means]
+def _row(measured: Measured, varied: Sequence[str]) -> list[str]:
+    means = [_interval_words(measured.means[key]) if measured.means[key].runs else "–" for key in SHOWN]
+    shown = measured.variant.shown
+    return [*(value_text(shown[key]) if key in shown else "–" for key in varied), str(measured.runs), *means]
 
 
 def _checks(frame: pd.DataFrame) -> list[tuple[str, bool, str]]:
@@ -173,7 +182,7 @@ def _checks(frame: pd.DataFrame) -> list[tuple[str, bool, str]]:
     return rows
 
 
-def _drawings(variants: Sequence[Variant], varied: Sequence[str]) -> list[Drawing]:
+def _drawings(variants: Sequence[Measured], varied: Sequence[str]) -> list[Drawing]:
     """A figure for each measure: against the number that varies most, one line for each combination of the rest."""
     if not varied or len(variants) < 2:
         return []
@@ -189,7 +198,7 @@ def _drawings(variants: Sequence[Variant], varied: Sequence[str]) -> list[Drawin
 _CAPTION = "Mean over the seeds; bars: 95 % interval of the mean."
 
 
-def _draw(variants: Sequence[Variant], varied: Sequence[str], key: str, title: str) -> str:
+def _draw(variants: Sequence[Measured], varied: Sequence[str], key: str, title: str) -> str:
     from analysis.figures import new_figure
 
     across = _numeric(variants, varied)
@@ -201,30 +210,30 @@ def _draw(variants: Sequence[Variant], varied: Sequence[str], key: str, title: s
     return svg(figure, key, title)
 
 
-def _numeric(variants: Sequence[Variant], varied: Sequence[str]) -> str:
+def _numeric(variants: Sequence[Measured], varied: Sequence[str]) -> str:
     """The key with the most numbers as values; "" if there is none with several."""
     counts = {
-        key: len({v.values[key] for v in variants})
+        key: len({v.variant.shown[key] for v in variants})
         for key in varied
-        if all(isinstance(v.values[key], int | float) and not isinstance(v.values[key], bool) for v in variants)
+        if all(type(v.variant.shown.get(key)) in (int, float) for v in variants)
     }
     best = max(counts, key=lambda key: counts[key], default="")
     return best if best and counts[best] > 1 else ""
 
 
-def _curves(axes: Axes, variants: Sequence[Variant], across: str, key: str) -> None:
+def _curves(axes: Axes, variants: Sequence[Measured], across: str, key: str) -> None:
     from analysis.figures import BLUE, GREEN, ORANGE, PINK, RED, SKY
 
-    lines: dict[str, list[Variant]] = {}
+    lines: dict[str, list[Measured]] = {}
     for variant in variants:
-        rest = {name: value for name, value in variant.values.items() if name != across}
-        lines.setdefault(_words(rest) if rest else "", []).append(variant)
+        rest = {name: value for name, value in variant.variant.shown.items() if name != across}
+        lines.setdefault(fill(label(rest), _WIDEST) if rest else "", []).append(variant)
     colors = (BLUE, ORANGE, GREEN, RED, PINK, SKY)
     for (name, members), color in zip(list(lines.items())[:_MOST_LINES], colors, strict=False):
-        members = sorted((m for m in members if m.means[key].runs), key=lambda m: m.values[across])
+        members = sorted((m for m in members if m.means[key].runs), key=lambda m: m.variant.shown[across])
         means = [m.means[key] for m in members]
         bars = [m.half if math.isfinite(m.half) else 0.0 for m in means]
-        at = [m.values[across] for m in members]
+        at = [m.variant.shown[across] for m in members]
         axes.errorbar(at, [m.mean for m in means], bars, color=color, marker="o", markersize=4, capsize=2, label=name)
     axes.set_xlabel(across)
     axes.set_ylabel(MEASURES[key].unit)
@@ -233,13 +242,14 @@ def _curves(axes: Axes, variants: Sequence[Variant], across: str, key: str) -> N
         axes.legend(fontsize=8)
 
 
-def _dots(axes: Axes, variants: Sequence[Variant], key: str) -> None:
+def _dots(axes: Axes, variants: Sequence[Measured], key: str) -> None:
     from analysis.figures import BLUE
 
     for row, variant in enumerate(variants):
         mean = variant.means[key]
         half = mean.half if math.isfinite(mean.half) else 0.0
         axes.errorbar(mean.mean, row, xerr=half, color=BLUE, marker="o", capsize=2)
-    axes.set_yticks(range(len(variants)), [_words(variant.values) for variant in variants], fontsize=8)
+    names = [fill(measured.variant.name, _WIDEST) for measured in variants]
+    axes.set_yticks(range(len(variants)), names, fontsize=8)
     axes.set_ylim(len(variants) - 0.5, -0.5)
     axes.set_xlabel(MEASURES[key].unit)

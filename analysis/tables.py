@@ -28,11 +28,22 @@ class Run:
         name: name of the run: its folder's name.
         meta: content of ``run.json``, keys as in ``parking_sim.record.META``.
         read: gives a table by name.
+        folder: where the record is, None if it has not been written.
     """
 
     name: str
     meta: Mapping[str, Any]
     read: Callable[[str], pd.DataFrame] = field(repr=False, compare=False)
+    folder: Path | None = None
+
+    @cached_property
+    def variant(self) -> str:
+        """Name of the variant of the sweep to which the run belongs; "" if it belongs to none."""
+        plan = self.folder.resolve().parent.parent / "sweep.json" if self.folder is not None else None
+        if plan is None or not plan.is_file():
+            return ""
+        rows = json.loads(plan.read_text(encoding="utf-8"))["runs"]
+        return next((row.get("variant", "") for row in rows if row["run"] == self.name), "")
 
     @cached_property
     def events(self) -> pd.DataFrame:
@@ -120,7 +131,7 @@ def load_run(folder: Path) -> Run:
     if not path.is_file():
         raise FileNotFoundError(f"no record of a run in {folder} (run.json is missing)")
     meta = json.loads(path.read_text(encoding="utf-8"))
-    return Run(folder.resolve().name, meta, partial(_read_parquet, folder))
+    return Run(folder.resolve().name, meta, partial(_read_parquet, folder), folder)
 
 
 def recorded_run(recorder: Recorder, meta: Mapping[str, Any], name: str = "run") -> Run:

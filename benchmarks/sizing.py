@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from analysis.measures import interval
+from analysis.variants import variant_of
 from demand.profile_traffic import ProfileTraffic
 from parking_sim.config import Scenario, check_scenario
 from parking_sim.executors import open_executor
@@ -99,7 +100,7 @@ def grid(base: Scenario, targets: Sequence[Target], given: argparse.Namespace) -
     folder = given.folder / given.garage
     open_folder(folder)
     fleets = range(1, given.most + 1)
-    specs = {n: make_runs([base.model_copy(update={"agvs": n})], [{"agvs": n}], SEEDS) for n in fleets}
+    specs = {n: make_runs([base.model_copy(update={"agvs": n})], [variant_of({"agvs": n})], SEEDS) for n in fleets}
     write_plan([spec for group in specs.values() for spec in group], folder)
     keys = {target.key for target in targets}
     with open_executor(given.workers) as executor:

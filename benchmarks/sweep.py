@@ -82,7 +82,7 @@ def timed(specs: tuple[RunSpec, ...], folder: Path, workers: int, dask: bool) ->
             failures = sweep(specs, folder, executor)
         seconds = perf_counter() - begin
     for failure in failures:
-        print(f"failed: {dict(failure.spec.varied)} seed={failure.spec.scenario.seed}: {failure.error}")
+        print(f"failed: {failure.spec.variant.name} seed={failure.spec.scenario.seed}: {failure.error}")
     frame = load_runs(folder).runs.df()
     return seconds, frame[[column for column in frame if not column.startswith("wall_")]]
 

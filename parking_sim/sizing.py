@@ -23,6 +23,7 @@ from functools import partial
 from pathlib import Path
 
 from analysis.measures import Interval, interval
+from analysis.variants import variant_of
 from parking_sim.config import Scenario
 from parking_sim.errors import InputError
 from parking_sim.sweep import RunFailedError, Tell, open_folder, run_folder, run_missing, write_plan
@@ -194,9 +195,9 @@ def size_garage(
 
     def measure(what: str, number: int, seeds: Sequence[int]) -> Sequence[float]:
         varied = {**settings, what: number}
-        specs = make_runs([scenario.model_copy(update=varied)], [varied], seeds)
+        specs = make_runs([scenario.model_copy(update=varied)], [variant_of(varied)], seeds)
         known.update((spec.key, spec) for spec in specs)
-        write_plan(sorted(known.values(), key=lambda spec: [dict(spec.varied)[key] for key in most]), folder)
+        write_plan(sorted(known.values(), key=lambda spec: [spec.variant.shown[key] for key in most]), folder)
         return measure_specs(specs, target.key, folder, executor, tell)
 
     answers: list[Sizing] = []

@@ -37,7 +37,7 @@ def sweep(
     from parking_sim.executors import open_executor
     from parking_sim.progress import SweepBar
     from parking_sim.sweep import sweep as run_sweep
-    from parking_sim.sweep_plan import label, load_sweep
+    from parking_sim.sweep_plan import load_sweep
 
     specs = load_sweep(plan)
     folder = out or Path("runs") / plan.stem
@@ -45,7 +45,7 @@ def sweep(
         failures = run_sweep(specs, folder, executor, bar.update)
     for failure in failures:
         seed = failure.spec.scenario.seed
-        print(f"failed: {label(failure.spec.varied)} seed={seed}: {failure.error}", file=sys.stderr)
+        print(f"failed: {failure.spec.variant.name}, seed {seed}: {failure.error}", file=sys.stderr)
     done = len(specs) - len(failures)
     _say(quiet, f"{done} of {len(specs)} runs: {folder}")
     if report and done:
@@ -134,9 +134,10 @@ def tune(
     quiet: Quiet = False,
 ) -> None:
     """Tune parameters of the controller with optuna, on the same seeds for every setting."""
+    from analysis.variants import label
     from parking_sim.config import load_scenario
     from parking_sim.executors import open_executor
-    from parking_sim.sweep_plan import label, parse_seeds
+    from parking_sim.sweep_plan import parse_seeds
     from parking_sim.tuning import parse_ranges, tune_scenario
 
     name = Path(scenario).name.split(".")[0]

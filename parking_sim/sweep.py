@@ -113,7 +113,7 @@ def write_plan(specs: Sequence[RunSpec], folder: Path) -> None:
     """
     from parking_sim.record import write_json
 
-    runs = [{"run": spec.key, "seed": spec.scenario.seed, "varied": dict(spec.varied)} for spec in specs]
+    runs = [{**_named(spec), "shown": list(spec.variant.shown.items())} for spec in specs]
     write_json(folder / SWEEP_FILE, {"code": code_version(), "runs": runs})
 
 
@@ -242,8 +242,10 @@ def _place(error: BaseException) -> str:
 def _write_failures(failures: Sequence[Failure], folder: Path) -> None:
     from parking_sim.record import write_json
 
-    rows = [
-        {"run": f.spec.key, "seed": f.spec.scenario.seed, "varied": dict(f.spec.varied), "error": f.error}
-        for f in failures
-    ]
+    rows = [{**_named(failure.spec), "error": failure.error} for failure in failures]
     write_json(folder / FAILURES_FILE, {"failures": rows})
+
+
+def _named(spec: RunSpec) -> dict[str, object]:
+    """A run in the words of the sweep's files."""
+    return {"run": spec.key, "variant": spec.variant.name, "seed": spec.scenario.seed}

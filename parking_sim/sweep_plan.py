@@ -2,7 +2,9 @@
 
 A sweep file has a ``base`` scenario (a shipped garage, a scenario file or its keys), a ``grid`` of values for scenario
 keys, of which every combination is run, a ``list`` of variants, each of which meets every point of the grid, and
-``seeds``. All variants get the same seeds, so that they meet the same customers (common random numbers).
+``seeds``. A value may be a group of keys (``workload``, ``faults``, ``agv``). An entry of the list may have a ``name``;
+values in the grid have names when they are given as a mapping of names to values. All variants get the same seeds, so
+that they meet the same customers (common random numbers).
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
+from analysis.variants import NAME, Variant, label, tell_apart, variant_of
 from parking_sim.config import Scenario, check_scenario, read_yaml, scenario_keys
 from parking_sim.errors import InputError
 
@@ -28,7 +32,7 @@ _AROUND_A_RUN = {
     "cli", "demo", "doctor", "executors", "folders", "progress", "reproduce", "sizing", "studies", "sweep",
     "sweep_plan", "tuning",
 }  # fmt: skip
-_OF_ANALYSIS = {"metrics", "tables"}
+_OF_ANALYSIS = {"metrics", "parquet", "tables"}
 
 
 @dataclass(frozen=True)
@@ -37,12 +41,12 @@ class RunSpec:
 
     Attributes:
         scenario: what to run, with its seed.
-        varied: the keys in which the variants of the sweep differ -> their values in this one.
+        variant: the variant of the sweep that it is a run of.
         key: hash of the scenario, of the files it names and of the code that runs it, 16 hexadecimal digits.
     """
 
     scenario: Scenario
-    varied: Mapping[str, object]
+    variant: Variant
     key: str
 
 
@@ -66,23 +70,21 @@ def load_sweep(path: Path) -> tuple[RunSpec, ...]:
         raise InputError(f"{path}: base: missing (a shipped garage, a scenario file, or the keys of a scenario)")
     base, base_dir = _base(data["base"], path)
     seeds = parse_seeds(data.get("seeds", "1"), f"{path}: seeds")
-    variants = list(_variants(data, path))
-    if not variants:
-        raise InputError(f"{path}: give at least one variant")
-    scenarios = [
-        check_scenario(set_keys(base, varied, str(path)), f"{path}: {label(varied)}", base_dir) for varied in variants
-    ]
+    variants, scenarios = [], []
+    for shown, values in _points(data, path):
+        variants.append(variant_of(shown))
+        keys = set_keys(base, values, str(path))
+        scenarios.append(check_scenario(keys, f"{path}: {variants[-1].name}", base_dir))
+    _check_differ(variants, scenarios, path)
     return make_runs(scenarios, variants, seeds)
 
 
-def make_runs(
-    scenarios: Sequence[Scenario], variants: Sequence[Mapping[str, object]], seeds: Sequence[int]
-) -> tuple[RunSpec, ...]:
+def make_runs(scenarios: Sequence[Scenario], variants: Sequence[Variant], seeds: Sequence[int]) -> tuple[RunSpec, ...]:
     """All variants with all seeds.
 
     Args:
         scenarios: one for each variant.
-        variants: what differs in each, the same keys in all.
+        variants: their names and what is shown of them, in the same order.
         seeds: seeds for each of them.
 
     Returns:
@@ -90,9 +92,9 @@ def make_runs(
     """
     found: dict[str, RunSpec] = {}
     for seed in seeds:
-        for scenario, varied in zip(scenarios, variants, strict=True):
+        for scenario, variant in zip(scenarios, variants, strict=True):
             seeded = scenario.model_copy(update={"seed": seed})
-            spec = RunSpec(seeded, varied, run_key(seeded))
+            spec = RunSpec(seeded, variant, run_key(seeded))
             found.setdefault(spec.key, spec)
     return tuple(found.values())
 
@@ -119,11 +121,6 @@ def parse_seeds(value: object, where: str = "seeds") -> tuple[int, ...]:
             raise InputError(f"{where}: {value!r}: give seeds such as 1..50, 7 or [1, 2, 3]")
         seeds.extend(range(first, last + 1))
     return tuple(dict.fromkeys(seeds))
-
-
-def label(varied: Mapping[str, object]) -> str:
-    """A variant in words: ``agvs=4 planner=whca``; ``base`` if nothing varies."""
-    return " ".join(f"{key}={_text(value)}" for key, value in varied.items()) or "base"
 
 
 def run_key(scenario: Scenario) -> str:
@@ -173,26 +170,88 @@ def _base(given: object, path: Path) -> tuple[dict[str, object], Path]:
     return keys, folder.resolve()
 
 
-def _variants(data: Mapping[str, object], path: Path) -> Iterator[dict[str, object]]:
-    """Every entry of the list with every point of the grid."""
-    grid, entries = data.get("grid") or {}, data.get("list") or [{}]
-    if not isinstance(grid, dict):
-        raise InputError(f"{path}: grid: {grid!r}: give a mapping such as agvs: [1, 2, 4]")
-    for key, values in grid.items():
-        if not isinstance(values, list) or not values:
-            raise InputError(f"{path}: grid.{key}: {values!r}: give a list of values")
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise InputError(f"{path}: list: give a list of variants, each a mapping of scenario keys to values")
-    if len({frozenset(entry) for entry in entries}) > 1:
-        raise InputError(f"{path}: list: give the same keys in every variant")
-    for key in (*grid, *entries[0]):
+#: A factor of a sweep: for each of its levels what is shown of it, and the keys that it sets.
+_Factor = list[tuple[dict[str, object], dict[str, object]]]
+
+
+def _points(data: Mapping[str, object], path: Path) -> Iterator[tuple[dict[str, object], dict[str, object]]]:
+    """Every entry of the list with every point of the grid: what is shown of it, and the keys that it sets."""
+    entries, grid = _listed(data.get("list"), path), _grid(data.get("grid"), path)
+    for key in sorted({key for _, values in entries for key in values} | grid.keys()):
         if key == "seed":
             raise InputError(f"{path}: seed: give the seeds of all variants as seeds: 1..50")
-        if key in grid and key in entries[0]:
+        if key in grid and any(key in values for _, values in entries):
             raise InputError(f"{path}: {key}: is in grid and in list; give it once")
-    for entry in entries:
-        for values in itertools.product(*grid.values()):
-            yield {**entry, **dict(zip(grid, values, strict=True))}
+    for levels in itertools.product(entries, *grid.values()):
+        shown, values = dict[str, object](), dict[str, object]()
+        for level_shown, level_values in levels:
+            shown |= level_shown
+            values |= level_values
+        yield shown, values
+
+
+def _listed(entries: object, path: Path) -> _Factor:
+    """The entries of the list; those without a name are shown by their keys."""
+    if entries is None:
+        return [({}, {})]
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise InputError(f"{path}: list: give a list of variants, each a mapping of scenario keys to values")
+    if not entries:
+        raise InputError(f"{path}: list: give at least one variant")
+    values = [{str(key): value for key, value in entry.items() if key != NAME} for entry in entries]
+    shown: list[dict[str, object]] = [{} for _ in entries]
+    for key in dict.fromkeys(key for entry in values for key in entry):
+        having = [number for number, entry in enumerate(values) if key in entry]
+        for number, value in zip(having, tell_apart([values[n][key] for n in having]), strict=True):
+            shown[number][key] = value
+    if any(NAME in entry for entry in entries):
+        names = [
+            _name(entry[NAME], f"{path}: list[{number}].name") if NAME in entry else label(shown[number])
+            for number, entry in enumerate(entries)
+        ]
+        shown = [{NAME: name} for name in names]
+    return list(zip(shown, values, strict=True))
+
+
+def _grid(grid: object, path: Path) -> dict[str, _Factor]:
+    """The keys of the grid, each with its levels."""
+    if grid is None:
+        return {}
+    if not isinstance(grid, dict):
+        raise InputError(f"{path}: grid: {grid!r}: give a mapping such as agvs: [1, 2, 4]")
+    factors = {}
+    for key, values in grid.items():
+        if not isinstance(values, list | dict) or not values:
+            raise InputError(f"{path}: grid.{key}: {values!r}: give a list of values, or a mapping of names to values")
+        if isinstance(values, dict):
+            shown: list[Any] = [_name(name, f"{path}: grid.{key}") for name in values]
+        else:
+            shown = tell_apart(values)
+        level = list(values.values()) if isinstance(values, dict) else values
+        factors[str(key)] = [({key: short}, {key: value}) for short, value in zip(shown, level, strict=True)]
+    return factors
+
+
+def _name(given: object, where: str) -> str:
+    if not isinstance(given, str) or not given.strip() or not given.isprintable():
+        raise InputError(f"{where}: {given!r}: give a name of one line, such as saturday")
+    return given.strip()
+
+
+def _check_differ(variants: Sequence[Variant], scenarios: Sequence[Scenario], path: Path) -> None:
+    """No two variants are the same scenario or have the same name."""
+    names: set[str] = set()
+    name_of: dict[str, str] = {}
+    for variant, scenario in zip(variants, scenarios, strict=True):
+        content = scenario.model_dump_json(exclude={"seed"})
+        if content in name_of:
+            raise InputError(
+                f"{path}: {name_of[content]!r} and {variant.name!r} are the same scenario; remove one of them"
+            )
+        if variant.name in names:
+            raise InputError(f"{path}: {variant.name!r}: two variants have this name; give each a name of its own")
+        name_of[content] = variant.name
+        names.add(variant.name)
 
 
 def set_keys(base: Mapping[str, object], varied: Mapping[str, object], source: str) -> dict[str, object]:
@@ -210,20 +269,16 @@ def set_keys(base: Mapping[str, object], varied: Mapping[str, object], source: s
         InputError: a key leads into one that is no group.
     """
     data = copy.deepcopy(dict(base))
-    for key, value in varied.items():
-        *groups, last = str(key).split(".")
+    for key, value in sorted(varied.items(), key=lambda item: item[0].count(".")):  # groups before keys in them
+        *groups, last = key.split(".")
         inner = data
         for group in groups:
             nested = inner.setdefault(group, {})
             if not isinstance(nested, dict):
                 raise InputError(f"{source}: {key}: {group} has no keys below it")
             inner = nested
-        inner[last] = value
+        inner[last] = copy.deepcopy(value)
     return data
-
-
-def _text(value: object) -> str:
-    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
 
 
 def _input_files(scenario: Scenario) -> list[Path]:

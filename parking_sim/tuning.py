@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from analysis.measures import MEASURES, Interval, interval
+from analysis.variants import variant_of
 from parking_sim.config import check_scenario, scenario_keys
 from parking_sim.errors import InputError
 from parking_sim.sizing import measure_specs
@@ -108,7 +109,7 @@ def tune_scenario(
     def objective(trial: Any) -> float:
         values = {key: _suggest(trial, key, span) for key, span in ranges.items()}
         scenario = check_scenario(set_keys(keys, values, source), source, base_dir.resolve())
-        specs = make_runs([scenario], [values], seeds)
+        specs = make_runs([scenario], [variant_of(values)], seeds)
         all_specs.extend(specs)
         write_plan(all_specs, folder)
         mean = interval(measure_specs(specs, measure, folder, executor))

@@ -9,7 +9,7 @@ import pytest
 from parking_sim import sweep_plan
 from parking_sim.config import load_scenario
 from parking_sim.errors import InputError
-from parking_sim.sweep_plan import RunSpec, label, load_sweep, parse_seeds, run_key
+from parking_sim.sweep_plan import RunSpec, load_sweep, parse_seeds, run_key
 
 BASE = "base: {garage: map1, agvs: 2, plant: discrete, workload: {kind: park_exit, cars: 3}}\n"
 
@@ -20,15 +20,15 @@ def load(tmp_path: Path, text: str) -> tuple[RunSpec, ...]:
 
 
 def test_every_point_of_the_grid_with_every_entry_of_the_list_and_every_seed(tmp_path: Path) -> None:
-    text = "grid: {agvs: [1, 2], control.period_s: [5, 6, 7]}\nlist: [{dispatch: nearest}, {dispatch: fcfs}]\n"
-    specs = load(tmp_path, BASE + text.replace("fcfs", "nearest") + "seeds: 1..3\n")
-    assert len(specs) == 2 * 3 * 3  # two equal variants are one
+    text = "grid: {agvs: [1, 2], control.period_s: [5, 6, 7]}\nlist: [{dispatch: nearest}, {dispatch: nearest-job}]\n"
+    specs = load(tmp_path, BASE + text + "seeds: 1..3\n")
+    assert len(specs) == 2 * 2 * 3 * 3
     assert {spec.scenario.seed for spec in specs} == {1, 2, 3}
     assert {(s.scenario.agvs, s.scenario.control.period_s) for s in specs} == {
         (a, p) for a in (1, 2) for p in (5, 6, 7)
     }
-    assert [spec.scenario.seed for spec in specs[:6]] == [1] * 6  # all variants of the first seed first
-    assert label(specs[0].varied) == "dispatch=nearest agvs=1 control.period_s=5"
+    assert [spec.scenario.seed for spec in specs[:12]] == [1] * 12  # all variants of the first seed first
+    assert specs[0].variant.name == "dispatch=nearest, agvs=1, control.period_s=5"
     assert len({spec.key for spec in specs}) == len(specs)
 
 
@@ -102,7 +102,12 @@ def test_seeds(value: object, seeds: tuple[int, ...]) -> None:
         (BASE + "grid: {agvs.x: [1]}\n", "agvs has no keys below it"),
         (BASE + "grid: {control.periods: [1]}\n", "control.periods: unknown key"),
         (BASE + "grid: {agvs: [1]}\nlist: [{agvs: 2}]\n", "agvs: is in grid and in list"),
-        (BASE + "list: [{agvs: 2}, {step_s: 1}]\n", "list: give the same keys"),
+        (BASE + "list: []\n", "list: give at least one variant"),
+        (BASE + "list: [{name: a, agvs: 2}, {name: a, agvs: 3}]\n", "'a': two variants have this name"),
+        (BASE + "list: [{name: a}, {name: b, agvs: 2}]\n", "'a' and 'b' are the same scenario; remove one"),
+        (BASE + "grid: {agvs: [1, 2, 1]}\n", "'agvs=1' and 'agvs=1' are the same scenario"),
+        (BASE + "list: [{name: 3}]\n", r"list\[0\].name: 3: give a name of one line"),
+        (BASE + "grid: {agvs: {' ': 2}}\n", "grid.agvs: ' ': give a name of one line"),
         (BASE + "list: {agvs: 2}\n", "list: give a list"),
         (BASE + "grid: {seed: [1]}\n", "seed: give the seeds"),
         (BASE + "seeds: 3..1\n", "seeds: '3..1': give seeds such as"),
