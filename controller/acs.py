@@ -149,8 +149,8 @@ class Acs:
         agv.action = action
         if agv.goal in self._claims.next:
             self._plan_way_out(agv)
-        car = agv.job.car if agv.job else ""
-        self._commands.append(self.executor.act(agv.number, action, steps, self._step, car))
+        request = agv.job.number if agv.job else -1
+        self._commands.append(self.executor.act(agv.number, action, steps, self._step, request))
         if steps == 0:
             self._complete(agv)
 

@@ -188,7 +188,7 @@ class Executor:
         """See in the next call of ``grants`` whether this AGV can go on: an order has been changed for it."""
         self._due.add(agv)
 
-    def act(self, agv: int, action: Action, steps: int, step: int, car: str = "") -> Act:
+    def act(self, agv: int, action: Action, steps: int, step: int, request: int = -1) -> Act:
         """Start an action of a standing AGV and return the command for it.
 
         Raises:
@@ -200,7 +200,7 @@ class Executor:
         if steps:
             a.acting_until, a.acting = step + steps, action
             a.standing = False
-        return Act(agv, action, steps, car)
+        return Act(agv, action, steps, request)
 
     def grants(self, step: int) -> list[Command]:
         """Grant what the orders allow now.

@@ -195,14 +195,14 @@ class Garage:
                 job = self.queue.popleft()
                 job.origin = bay
                 places.inbound = job
-                commands.append(CallForward(job.car, bay))
+                commands.append(CallForward(job.number, bay))
         return commands
 
-    def car_at_bay(self, bay: int, now_s: float) -> Job:
+    def car_at_bay(self, request: int, bay: int, now_s: float) -> Job:
         """A customer's car has stopped at the inbound place; the job is open from now on."""
-        job = self.bays[bay].inbound
-        if job is None:
-            raise RuntimeError(f"a car came to bay {bay} that nobody called")
+        job = self.jobs[request]
+        if self.bays[bay].inbound is not job:
+            raise RuntimeError(f"the car of request {request} came to bay {bay}, where nobody called it")
         job.at_bay_s = now_s
         job.ready_s = now_s + job.handling_s
         self.open.append(job)
@@ -218,13 +218,13 @@ class Garage:
         gone = [j for j in self._boarding if j.delivered_s + j.handling_s <= now_s]
         for job in gone:
             self._boarding.remove(job)
-        return [DriveOff(j.car, j.destination) for j in gone]
+        return [DriveOff(j.number, j.destination) for j in gone]
 
-    def car_left(self, bay: int, now_s: float) -> Job:
+    def car_left(self, request: int, bay: int, now_s: float) -> Job:
         """A retrieved car has driven off: its request is served and the outbound place is free."""
-        job = self.bays[bay].outbound
-        if job is None:
-            raise RuntimeError(f"a car left bay {bay} where none stood")
+        job = self.jobs[request]
+        if self.bays[bay].outbound is not job:
+            raise RuntimeError(f"the car of request {request} left bay {bay}, where it did not stand")
         self.bays[bay].outbound = None
         self._leave(job, now_s)
         return job
@@ -301,7 +301,7 @@ class Garage:
             self._leave(job, now_s)
             return []
         self._boarding.append(job)
-        return [HandOver(job.car, job.destination)]
+        return [HandOver(job.number, job.destination)]
 
     def _put(self, car: str, slot: int) -> None:
         self.parked[car] = slot

@@ -334,19 +334,19 @@ class Advance:
 
 @dataclass(frozen=True, slots=True)
 class Act:
-    """Command: do this while standing, for so many steps. ``car`` is what is lifted or lowered."""
+    """Command: do this while standing, for so many steps. ``request`` is whose car is lifted or lowered, -1: none."""
 
     agv: int
     action: Action
     steps: int
-    car: str = ""
+    request: int = -1
 
 
 @dataclass(frozen=True, slots=True)
 class CallForward:
     """Command: send the customer who waits in the street to this bay's inbound place."""
 
-    car: str
+    request: int
     bay: int
 
 
@@ -354,7 +354,7 @@ class CallForward:
 class HandOver:
     """Command: a retrieved car stands at the bay's outbound place, its customer gets in."""
 
-    car: str
+    request: int
     bay: int
 
 
@@ -362,7 +362,7 @@ class HandOver:
 class DriveOff:
     """Command: the customer of a retrieved car leaves the bay's outbound place."""
 
-    car: str
+    request: int
     bay: int
 
 

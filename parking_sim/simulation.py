@@ -227,13 +227,13 @@ class _Run:
         """Take over what happened in the street, then the requests that are due."""
         for event in self.plant.events():
             if isinstance(event, CarAtBay):
-                job = self.garage.car_at_bay(event.bay, self.now_s)
+                job = self.garage.car_at_bay(event.request, event.bay, self.now_s)
                 self._ready.append(job)
                 self._log("car_at_bay", -1, job.car, event.bay, {"request": job.number})
             elif isinstance(event, FaultReport):
                 self._fault(event)
             else:
-                job = self.garage.car_left(event.bay, self.now_s)
+                job = self.garage.car_left(event.request, event.bay, self.now_s)
                 self._log("car_left", -1, job.car, event.bay, {"request": job.number})
                 self._log("task_done", job.agv, job.car, event.bay, {"request": job.number})
         for job in [j for j in self._ready if j.ready_s <= self.now_s]:
@@ -266,7 +266,7 @@ class _Run:
         if job.state == "refused":
             self._log("request_refused", -1, job.car, -1, {"request": job.number, "reason": job.reason})
         elif job.is_park and self.garage.handover == "bay":
-            self.plant.arrive(job.car)
+            self.plant.arrive(job.number)
 
     def _finished(self) -> bool:
         no_more = not self._pending and self._phase + 1 >= len(self.world.demand.phases)

@@ -95,7 +95,7 @@ class Books(RuleBasedStateMachine):
             assert isinstance(command, CallForward)
             assert command.bay not in closed
             self.called.append(self.garage.bays[command.bay].inbound)
-            assert self.called[-1].car == command.car
+            assert self.called[-1].number == command.request
         before_lifting = (*self.called, *self.garage.open, *self.assigned)
         taken = {job.origin for job in before_lifting if job.is_park}
         assert not self.garage.queue or set(GRAPH.bays) <= taken | closed, "a customer waits while a bay is free"
@@ -105,7 +105,7 @@ class Books(RuleBasedStateMachine):
     def car_reaches_its_bay(self, data):
         job = data.draw(st.sampled_from(self.called))
         self.called.remove(job)
-        assert self.garage.car_at_bay(job.origin, self.now_s) is job
+        assert self.garage.car_at_bay(job.number, job.origin, self.now_s) is job
         assert job.ready_s >= job.at_bay_s == self.now_s
 
     @precondition(lambda self: self.garage.open)
@@ -155,7 +155,7 @@ class Books(RuleBasedStateMachine):
             self.cars[job.car] = "parked"
             self.served += 1
         elif self.garage.handover == "bay":
-            assert commands == [HandOver(job.car, job.destination)]
+            assert commands == [HandOver(job.number, job.destination)]
         else:
             self._has_left(job)
 
@@ -165,7 +165,7 @@ class Books(RuleBasedStateMachine):
         for command in self.garage.board(self.now_s):
             assert isinstance(command, DriveOff)
             job = self.garage.bays[command.bay].outbound
-            assert job.car == command.car
+            assert job.number == command.request
             assert job.delivered_s + job.handling_s <= self.now_s
             self.boarding.append(job)
 
@@ -174,7 +174,7 @@ class Books(RuleBasedStateMachine):
     def car_drives_off(self, data):
         job = data.draw(st.sampled_from(self.boarding))
         self.boarding.remove(job)
-        assert self.garage.car_left(job.destination, self.now_s) is job
+        assert self.garage.car_left(job.number, job.destination, self.now_s) is job
         self._has_left(job)
 
     def _may_lower(self):
@@ -266,12 +266,12 @@ def test_a_car_is_fetched_once_however_often_it_is_asked_for(parked):
 def test_a_bay_takes_the_next_customer_as_soon_as_its_car_is_lifted():
     garage = empty()
     jobs = [park(garage, car) for car in "abc"]
-    assert [command.car for command in garage.call_forward()] == ["a", "b"]
-    garage.car_at_bay(jobs[0].origin, 1.0)
+    assert [command.request for command in garage.call_forward()] == [0, 1]
+    garage.car_at_bay(0, jobs[0].origin, 1.0)
     garage.assign(jobs[0], 0, 1.0, jobs[0].origin, GRAPH.slots[0])
     assert garage.call_forward() == []
     garage.lifted(jobs[0], 2.0)
-    assert garage.call_forward() == [CallForward("c", jobs[0].origin)]
+    assert garage.call_forward() == [CallForward(2, jobs[0].origin)]
 
 
 def test_a_bay_is_kept_until_its_customer_has_driven_off():
@@ -283,11 +283,11 @@ def test_a_bay_is_kept_until_its_customer_has_driven_off():
         job.destination = GRAPH.bays[0]
     garage.lower_starts(outs[0])
     assert not garage.may_lower(outs[1])
-    assert garage.lowered(outs[0], 3.0) == [HandOver("a", GRAPH.bays[0])]
+    assert garage.lowered(outs[0], 3.0) == [HandOver(outs[0].number, GRAPH.bays[0])]
     assert garage.board(3.0) == []
-    assert garage.board(3.0 + outs[0].handling_s) == [DriveOff("a", GRAPH.bays[0])]
+    assert garage.board(3.0 + outs[0].handling_s) == [DriveOff(outs[0].number, GRAPH.bays[0])]
     assert not garage.may_lower(outs[1])
-    assert garage.car_left(GRAPH.bays[0], 99.0).state == "served"
+    assert garage.car_left(outs[0].number, GRAPH.bays[0], 99.0).state == "served"
     assert garage.may_lower(outs[1])
 
 

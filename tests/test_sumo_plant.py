@@ -56,8 +56,8 @@ class Driver:
             old = new
         raise AssertionError("the AGV never came to a stand")
 
-    def act(self, action: Action, steps: int, car: str = "") -> None:
-        self.plant.execute(Act(0, action, steps, car))
+    def act(self, action: Action, steps: int) -> None:
+        self.plant.execute(Act(0, action, steps))
         assert self.wait() == steps
         if action in (Action.LIFT, Action.LOWER):
             self.loaded = action is Action.LIFT
@@ -294,8 +294,8 @@ def test_the_run_folder_opens_in_sumo_and_repeats_byte_for_byte(map1, started, t
     for name in ("a", "b"):
         folder = tmp_path / name
         plant = started(map1, map1.graph.homes[:4], outputs=folder, fcd=True)
-        for car in range(3):
-            plant.arrive(f"car{car}")
+        for request in range(3):
+            plant.arrive(request)
         Driver(plant, map1.graph.homes[0]).go(map1.graph.slots[3])
         plant.close()
         found = {p.name for p in folder.iterdir()}

@@ -15,7 +15,7 @@ from sumo_nets.graph import Graph
 class CarAtBay:
     """The car of a customer stands at a bay's inbound place."""
 
-    car: str
+    request: int
     bay: int
 
 
@@ -23,7 +23,7 @@ class CarAtBay:
 class CarLeft:
     """A retrieved car has left the garage and its bay's outbound place is free."""
 
-    car: str
+    request: int
     bay: int
 
 
@@ -60,7 +60,7 @@ class Plant(Protocol):
     def events(self) -> Sequence[PlantEvent]:
         """What happened with customers' cars in the last step, and which faults began or ended."""
 
-    def arrive(self, car: str) -> None:
+    def arrive(self, request: int) -> None:
         """A customer comes to the garage and joins the queue in the street."""
 
     def execute(self, command: Command) -> None:

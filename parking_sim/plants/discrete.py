@@ -47,7 +47,7 @@ class DiscretePlant:
         """What happened with customers' cars in the last tick."""
         return self._events
 
-    def arrive(self, car: str) -> None:
+    def arrive(self, request: int) -> None:
         """A customer comes; without a street there is no queue to join."""
 
     def execute(self, command: Command) -> None:
@@ -62,9 +62,9 @@ class DiscretePlant:
             self._timer[command.agv] = command.steps
             self._action[command.agv] = command.action
         elif isinstance(command, CallForward):
-            self._next.append(CarAtBay(command.car, command.bay))
+            self._next.append(CarAtBay(command.request, command.bay))
         elif isinstance(command, DriveOff):
-            self._next.append(CarLeft(command.car, command.bay))
+            self._next.append(CarLeft(command.request, command.bay))
 
     def _advance(self, command: Advance) -> None:
         agv = command.agv

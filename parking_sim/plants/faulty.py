@@ -133,9 +133,9 @@ class FaultyPlant:
         news, self._news = self._news, []
         return [*self._plant.events(), *news]
 
-    def arrive(self, car: str) -> None:
+    def arrive(self, request: int) -> None:
         """A customer comes to the garage."""
-        self._plant.arrive(car)
+        self._plant.arrive(request)
 
     def execute(self, command: Command) -> None:
         """Carry out one command, or put it on its way if it comes late."""

@@ -150,13 +150,13 @@ class SumoPlant:
         """What happened with customers' cars in the last step."""
         return self._customers.events
 
-    def arrive(self, car: str) -> None:
+    def arrive(self, request: int) -> None:
         """A customer comes and joins the queue in the street, or the backlog before it when the street is full.
 
         Raises:
             PlantError: the net has no street.
         """
-        self._guard(lambda: self._customers.arrive(car))
+        self._guard(lambda: self._customers.arrive(request))
 
     def execute(self, command: Command) -> None:
         """Carry out one command.
@@ -424,7 +424,7 @@ class SumoPlant:
             act, a.acting = a.acting, None
             if act is not None and act.action is Action.LIFT:
                 self._load(i, True)
-                self._customers.take(act.car)
+                self._customers.take(act.request)
             elif act is not None and act.action is Action.LOWER:
                 self._load(i, False)
             self._read_battery(i)
@@ -443,11 +443,11 @@ class SumoPlant:
 
     def _execute_customer(self, command: CallForward | HandOver | DriveOff) -> None:
         if isinstance(command, CallForward):
-            self._customers.call_forward(command.car, command.bay)
+            self._customers.call_forward(command.request, command.bay)
         elif isinstance(command, HandOver):
-            self._customers.hand_over(command.car, command.bay)
+            self._customers.hand_over(command.request, command.bay)
         else:
-            self._customers.drive_off(command.car)
+            self._customers.drive_off(command.request)
 
 
 def _start_edges(graph: Graph, starts: Sequence[int]) -> list[int]:

@@ -3,6 +3,9 @@
 A car that comes waits in a backlog until there is room for it on the entry edge; only one car at a time is offered to
 SUMO. Then it drives up to the hold line. Called forward, it drives on to the bay's inbound parkingArea. It vanishes
 when an AGV has lifted it, and appears again at the outbound parkingArea when an AGV has set it down there.
+
+SUMO knows a car by the number of its request, not by its own name: a car may bear any name, even an AGV's, and may come
+back while SUMO still sees it drive off.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from parking_sim.plants import CarAtBay, CarLeft, PlantEvent
-from parking_sim.plants.sumo_files import CUSTOMER_IN, CUSTOMER_OUT
+from parking_sim.plants.sumo_files import CUSTOMER_IN, CUSTOMER_OUT, customer_name, request_of
 
 if TYPE_CHECKING:
     from sumo_nets.read import BaySite, GarageNet, Street
@@ -52,106 +55,106 @@ class Customers:
         self._api = api
         self._street: Street | None = garage.street
         self._sites: Mapping[int, BaySite] = garage.bay_sites
-        self._backlog: deque[str] = deque()
+        self._backlog: deque[int] = deque()
         self._patience = 0  # steps until the entry edge is looked at again
-        self._entering = ""  # offered to SUMO, not on the street yet
-        self._inside: set[str] = set()  # on the street or at an inbound place
-        self._calls: dict[str, int] = {}  # called forward, not told to SUMO yet
-        self._driving: dict[str, int] = {}  # on the way to a bay
-        self._placing: dict[str, int] = {}  # retrieved, not at the outbound place yet
-        self._outbound: dict[int, str] = {}  # whose each bay's outbound place is
-        self._leaving: dict[str, int] = {}  # at the outbound place or driving off it
-        self._impatient: set[str] = set()  # told to drive off before they stood in SUMO
+        self._entering: int | None = None  # offered to SUMO, not on the street yet
+        self._inside: set[int] = set()  # on the street or at an inbound place
+        self._calls: dict[int, int] = {}  # called forward to which bay, not told to SUMO yet
+        self._driving: dict[int, int] = {}  # on the way to which bay
+        self._placing: dict[int, int] = {}  # retrieved, to which bay, not at its outbound place yet
+        self._outbound: dict[int, int] = {}  # bay -> whose its outbound place is
+        self._leaving: dict[int, int] = {}  # at which bay's outbound place, or driving off it
+        self._impatient: set[int] = set()  # told to drive off before they stood in SUMO
         if self._street is not None:
             api.route.add("customer_in", (self._street.entry_edge, self._street.queue_edge))
             for bay, site in self._sites.items():
                 api.route.add(f"bay_in{bay}", tuple(site.in_route))
                 api.route.add(f"bay_out{bay}", tuple(site.out_route))
 
-    def arrive(self, car: str) -> None:
-        """A car joins the end of the line."""
+    def arrive(self, request: int) -> None:
+        """The car of a request joins the end of the line."""
         if self._street is None:
             raise self._api.TraCIException("the net has no street for customers")
-        self._backlog.append(car)
+        self._backlog.append(request)
 
-    def call_forward(self, car: str, bay: int) -> None:
+    def call_forward(self, request: int, bay: int) -> None:
         """Send a waiting car on to a bay, as soon as SUMO accepts it."""
-        self._calls[car] = bay
+        self._calls[request] = bay
 
-    def hand_over(self, car: str, bay: int) -> None:
+    def hand_over(self, request: int, bay: int) -> None:
         """A retrieved car is to stand at a bay's outbound place, as soon as the one before it has left."""
-        self._placing[car] = bay
+        self._placing[request] = bay
         if bay not in self._outbound:
-            self._offer_place(car, bay)
+            self._offer_place(request, bay)
 
-    def drive_off(self, car: str) -> None:
+    def drive_off(self, request: int) -> None:
         """A retrieved car leaves its outbound place."""
-        if car in self._placing:
-            self._impatient.add(car)
+        if request in self._placing:
+            self._impatient.add(request)
         else:
-            self._api.vehicle.resume(car)
+            self._api.vehicle.resume(customer_name(request))
 
-    def take(self, car: str) -> None:
+    def take(self, request: int) -> None:
         """An AGV has lifted a car: if it stood at a bay, it is no longer SUMO's."""
-        if car in self._inside:
-            self._inside.discard(car)
-            self._api.vehicle.remove(car, 1)
+        if request in self._inside:
+            self._inside.discard(request)
+            self._api.vehicle.remove(customer_name(request), 1)
 
     def before_step(self) -> None:
         """Hand SUMO what it can take now."""
-        if self._backlog and not self._entering:
+        if self._backlog and self._entering is None:
             self._patience -= 1
             if self._patience <= 0:
                 self._patience = ENTRY_STEPS
                 if self._on_entry() < MAX_ON_ENTRY:
                     self._enter(self._backlog.popleft())
         if self._calls:
-            for car in [c for c in self._calls if c in self._inside]:
-                self._send(car, self._calls[car])
+            for request in [r for r in self._calls if r in self._inside]:
+                self._send(request, self._calls[request])
 
     def after_step(self) -> None:
         """See what happened; fills ``events``."""
         self.events = []
         simulation = self._api.simulation
-        if self._entering and self._entering in simulation.getDepartedIDList():
+        if self._entering is not None and customer_name(self._entering) in simulation.getDepartedIDList():
             self._inside.add(self._entering)
-            self._entering = ""
+            self._entering = None
         if self._driving or self._placing:
-            for car in simulation.getParkingStartingVehiclesIDList():
-                if car in self._driving:
-                    self.events.append(CarAtBay(car, self._driving.pop(car)))
-                elif car in self._placing:
-                    self._stand_outbound(car)
+            for request in map(request_of, simulation.getParkingStartingVehiclesIDList()):
+                if request in self._driving:
+                    self.events.append(CarAtBay(request, self._driving.pop(request)))
+                elif request in self._placing:
+                    self._stand_outbound(request)
         if self._leaving:
-            for car in simulation.getParkingEndingVehiclesIDList():
-                if car in self._leaving:
-                    self._free_place(car, self._leaving.pop(car))
+            for request in map(request_of, simulation.getParkingEndingVehiclesIDList()):
+                if request in self._leaving:
+                    self._free_place(request, self._leaving.pop(request))
 
     def street(self) -> StreetState:
         """Cars that wait now."""
-        if self._street is None or not (self._inside or self._backlog or self._entering):
+        if self._street is None or not (self._inside or self._backlog or self._entering is not None):
             return StreetState(0, 0)
         halting = self._api.edge.getLastStepHaltingNumber
-        outside = len(self._backlog) + bool(self._entering)
+        outside = len(self._backlog) + (self._entering is not None)
         return StreetState(halting(self._street.queue_edge), halting(self._street.entry_edge) + outside)
 
     def _on_entry(self) -> int:
         return self._api.edge.getLastStepVehicleNumber(self._street.entry_edge) if self._street else 0
 
-    def _enter(self, car: str) -> None:
+    def _enter(self, request: int) -> None:
         assert self._street is not None
-        self._entering = car
+        self._entering, car = request, customer_name(request)
         self._api.vehicle.add(car, "customer_in", CUSTOMER_IN, departPos="base", departSpeed="max")
         self._api.vehicle.setStop(car, self._street.queue_edge, self._street.hold_pos_m, duration=_FOREVER_S)
 
-    def _send(self, car: str, bay: int) -> None:
+    def _send(self, request: int, bay: int) -> None:
         """Drive on from the hold line, or without stopping there; refused on a junction, so wait for the next edge."""
         assert self._street is not None
-        vehicle, site = self._api.vehicle, self._sites[bay]
+        vehicle, site, car = self._api.vehicle, self._sites[bay], customer_name(request)
         road = vehicle.getRoadID(car)
         if road.startswith(":"):
             return
-        del self._calls[car]
+        del self._calls[request]
         waiting = vehicle.isStopped(car)
         before = () if road == self._street.queue_edge else (road,)
         vehicle.setRoute(car, (*before, *site.in_route))
@@ -160,22 +163,22 @@ class Customers:
             vehicle.resume(car)
         else:
             vehicle.setStop(car, self._street.queue_edge, self._street.hold_pos_m, duration=0.0)
-        self._driving[car] = bay
+        self._driving[request] = bay
 
-    def _free_place(self, car: str, bay: int) -> None:
-        self.events.append(CarLeft(car, bay))
+    def _free_place(self, request: int, bay: int) -> None:
+        self.events.append(CarLeft(request, bay))
         del self._outbound[bay]
-        waiting = [c for c, b in self._placing.items() if b == bay]
+        waiting = [r for r, b in self._placing.items() if b == bay]
         if waiting:
             self._offer_place(waiting[0], bay)
 
-    def _offer_place(self, car: str, bay: int) -> None:
-        self._outbound[bay] = car
+    def _offer_place(self, request: int, bay: int) -> None:
+        self._outbound[bay], car = request, customer_name(request)
         self._api.vehicle.add(car, f"bay_out{bay}", CUSTOMER_OUT, departPos="stop", departSpeed="0")
         self._api.vehicle.setParkingAreaStop(car, self._sites[bay].out_area, duration=_FOREVER_S)
 
-    def _stand_outbound(self, car: str) -> None:
-        self._leaving[car] = self._placing.pop(car)
-        if car in self._impatient:
-            self._impatient.discard(car)
-            self._api.vehicle.resume(car)
+    def _stand_outbound(self, request: int) -> None:
+        self._leaving[request] = self._placing.pop(request)
+        if request in self._impatient:
+            self._impatient.discard(request)
+            self._api.vehicle.resume(customer_name(request))

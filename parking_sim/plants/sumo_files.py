@@ -25,6 +25,16 @@ def agv_name(index: int) -> str:
     return f"agv{index}"
 
 
+def customer_name(request: int) -> str:
+    """SUMO id of the car of one request. A car that comes back has another request, so that no two cars share an id."""
+    return f"customer{request}"
+
+
+def request_of(customer: str) -> int:
+    """Number of the request whose car has this SUMO id."""
+    return int(customer.removeprefix("customer"))
+
+
 def write_run(
     folder: Path, garage: GarageNet, start_edges: Sequence[str], agv_type: AgvType, seed: int, step_s: float
 ) -> Path:
