@@ -15,7 +15,7 @@ paired off so that they are as short as possible in all. No order of the tasks n
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +26,11 @@ from controller.search.distances import Distances
 from controller.search.space import Space
 from controller.types import Motion
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import NO_EDGE, Vertex
 
 
 def least_steps(
-    graph: Graph, motion: Motion, rules: Rules, homes: Sequence[int], cars: int, park_only: bool = False
+    graph: Graph, motion: Motion, rules: Rules, homes: Collection[Vertex], cars: int, park_only: bool = False
 ) -> int:
     """Steps below which no controller can park so many cars, and fetch them all unless ``park_only``.
 
@@ -54,7 +55,7 @@ def least_steps(
 
 
 def least_work(
-    graph: Graph, motion: Motion, rules: Rules, homes: Sequence[int], tasks: Sequence[tuple[int, int]]
+    graph: Graph, motion: Motion, rules: Rules, homes: Collection[Vertex], tasks: Sequence[tuple[Vertex, Vertex]]
 ) -> int:
     """Steps of all AGVs together that these tasks take at least.
 
@@ -72,11 +73,11 @@ def least_work(
     distances = Distances(Space(graph, motion))
     steps = _with_cars(distances, graph, rules, tasks)
     before = [destination for _, destination in tasks] + list(homes)
-    empty = np.array([[distances.distance(v, -1, origin, False) for origin, _ in tasks] for v in before])
+    empty = np.array([[distances.distance(v, NO_EDGE, origin, False) for origin, _ in tasks] for v in before])
     return int(steps + empty[linear_sum_assignment(empty)].sum())
 
 
-def work_alone(graph: Graph, motion: Motion, rules: Rules, home: int, tasks: Sequence[tuple[int, int]]) -> int:
+def work_alone(graph: Graph, motion: Motion, rules: Rules, home: Vertex, tasks: Sequence[tuple[Vertex, Vertex]]) -> int:
     """Steps that one AGV takes for its tasks in this order with nobody in its way, and no customer to wait for.
 
     Args:
@@ -89,25 +90,25 @@ def work_alone(graph: Graph, motion: Motion, rules: Rules, home: int, tasks: Seq
     """
     distances = Distances(Space(graph, motion))
     before = [home, *(destination for _, destination in tasks)]
-    empty = (distances.distance(v, -1, origin, False) for v, (origin, _) in zip(before, tasks, strict=False))
+    empty = (distances.distance(v, NO_EDGE, origin, False) for v, (origin, _) in zip(before, tasks, strict=False))
     return _with_cars(distances, graph, rules, tasks) + sum(empty)
 
 
-def _with_cars(distances: Distances, graph: Graph, rules: Rules, tasks: Sequence[tuple[int, int]]) -> int:
+def _with_cars(distances: Distances, graph: Graph, rules: Rules, tasks: Sequence[tuple[Vertex, Vertex]]) -> int:
     """Steps of the tasks themselves: lifts, and the quickest ways with the cars."""
     slots = set(graph.slots)
     steps = 0
     for origin, destination in tasks:
-        steps += distances.distance(origin, -1, destination, True)
+        steps += distances.distance(origin, NO_EDGE, destination, True)
         steps += rules.lift_slot if origin in slots else rules.lift_bay
         steps += rules.lower_slot if destination in slots else rules.lower_bay
     return steps
 
 
 def _ways(
-    distances: Distances, graph: Graph, homes: Sequence[int], loaded: bool
+    distances: Distances, graph: Graph, homes: Collection[Vertex], loaded: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Steps from each home to each slot, and from each slot back, shape (homes, slots); first turns are free."""
-    out = [[distances.distance(home, -1, slot, loaded) for slot in graph.slots] for home in homes]
-    back = [[distances.distance(slot, -1, home, loaded) for slot in graph.slots] for home in homes]
+    out = [[distances.distance(home, NO_EDGE, slot, loaded) for slot in graph.slots] for home in homes]
+    back = [[distances.distance(slot, NO_EDGE, home, loaded) for slot in graph.slots] for home in homes]
     return np.array(out, dtype=np.int64), np.array(back, dtype=np.int64)

@@ -17,9 +17,10 @@ from controller.conflicts import validate
 from controller.planners.table import load_planner
 from controller.search.distances import Distances
 from controller.search.space import Space
-from controller.types import Motion, PlanAgent, PlanningProblem, PlanResult
+from controller.types import AgvNumber, Motion, PlanAgent, PlanningProblem, PlanResult
 from parking_sim.plants.sumo_agv import AgvType, sumo_motion
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import NO_EDGE, Vertex
 from sumo_nets.read import read_net
 
 PLANNERS = ("whca", "binary_tree", "ga_single", "ga_two_stage")
@@ -30,10 +31,10 @@ def batch(graph: Graph, motion: Motion, agvs: int, seed: int) -> PlanningProblem
     """So many loaded AGVs in random slots, on their way to places near the bays."""
     rng = np.random.default_rng(seed)
     starts = rng.choice(graph.slots, agvs, replace=False)
-    gates = [int(graph.head[graph.first_out[bay]]) for bay in graph.bays]
+    gates = [graph.successors[bay][0] for bay in graph.bays]
     goals = [*graph.bays, *gates, *graph.homes][:agvs]
     agents = [
-        PlanAgent(i, int(v), -1, 0, goal, True, priority=agvs - i)
+        PlanAgent(AgvNumber(i), Vertex(int(v)), NO_EDGE, 0, goal, True, priority=agvs - i)
         for i, (v, goal) in enumerate(zip(starts, goals, strict=True))
     ]
     blocked = np.zeros(len(graph.names), dtype=np.uint8)
@@ -47,10 +48,10 @@ def delay(problem: PlanningProblem, result: PlanResult, distances: Distances) ->
     for a in problem.agents:
         if a.agv in result.paths:
             path = result.paths[a.agv]
-            edge = problem.graph.edge_index[path.vertices[-2], path.vertices[-1]] if len(path.vertices) > 1 else -1
+            edge = problem.graph.edge_index[path.vertices[-2], path.vertices[-1]] if len(path.vertices) > 1 else NO_EDGE
             rest = distances.distance(path.vertices[-1], edge, a.goal, a.loaded)
             end = path.arrive[-1] if rest == 0 else max(path.arrive[-1], problem.window_steps)
-            late.append(end + rest - distances.distance(a.vertex, -1, a.goal, a.loaded))
+            late.append(end + rest - distances.distance(a.vertex, NO_EDGE, a.goal, a.loaded))
     return float(np.mean(late)) / float(np.median(problem.motion.edge_steps[1]))
 
 

@@ -36,6 +36,7 @@ from controller.types import (
     FOREVER,
     Advance,
     AgvMode,
+    AgvNumber,
     AgvState,
     Motion,
     Planner,
@@ -45,6 +46,7 @@ from controller.types import (
 )
 from sumo_nets.graph import Graph
 from sumo_nets.movingai import grid_graph, read_map
+from sumo_nets.numbering import Numbered, NumberedList, Vertex, numbered
 
 #: Fleets of each map.
 FLEETS = {"warehouse": (10, 50, 100, 200), "garage": (4, 8, 16, 32, 64), "long_garage": (4, 8, 16, 32, 64)}
@@ -105,7 +107,7 @@ class Timed:
         """As the planner says."""
         return bool(getattr(self.planner, "improves", False))
 
-    def prepare(self, graph: Graph, motion: Motion, goals: Sequence[int]) -> None:
+    def prepare(self, graph: Graph, motion: Motion, goals: Sequence[Vertex]) -> None:
         """Find the distances to all goals, as public solvers do before their clock runs."""
         nothing = np.zeros(len(graph.names), dtype=np.uint8)
         self.planner(PlanningProblem(graph, motion, (), (), nothing, nothing, FOREVER))
@@ -138,11 +140,13 @@ class Lifelong:
         motion = ticks(graph)
         self.rng = random.Random(seed)
         ends = {*graph.slots, *graph.bays}
-        self.points = sorted(ends or range(len(graph.names)))
+        self.points = sorted(ends or graph.vertices)
         starts = self.rng.sample(self.points, agents)
         self.timed = Timed(load_planner(planner, graph, motion, options))
         self.timed.prepare(graph, motion, sorted(ends))
-        self.agvs = [Agv(n, v, v, AgvMode.GOING_TO_COLLECT) for n, v in enumerate(starts)]
+        self.agvs: Numbered[AgvNumber, Agv] = [
+            Agv(AgvNumber(n), v, v, AgvMode.GOING_TO_COLLECT) for n, v in enumerate(starts)
+        ]
         self.executor = Executor(graph, motion, starts)
         self.blocked = np.zeros(len(graph.names), dtype=np.uint8)
         self.costs = Costs(graph, motion, self.blocked)
@@ -150,9 +154,9 @@ class Lifelong:
         settings = replace(control_options(planner), **control)
         self.planning = Planning(self.timed, settings, self.agvs, self.executor, RULES, self.costs, self._log)
         self.rest = np.zeros(len(graph.names), dtype=np.uint8)
-        self.count = [0] * agents
+        self.count: NumberedList[AgvNumber, int] = [0] * agents
         self.done, self.quiet, self._last = 0, 0, 0
-        self.trips: list[tuple[int, int]] = []
+        self.trips: list[tuple[Vertex, Vertex]] = []
         for agv in self.agvs:
             self._new_goal(agv)
 
@@ -168,7 +172,7 @@ class Lifelong:
 
     def states(self, step: int) -> list[AgvState]:
         """What is seen of the AGVs."""
-        return [AgvState(n, c, c, True) for n, c in enumerate(self.count)]
+        return [AgvState(n, c, c, True) for n, c in numbered(self.count)]
 
     def _tick(self, step: int) -> None:
         self.executor.update(self.states(step), step)
@@ -192,7 +196,7 @@ class Lifelong:
         self.trips.append((self.executor.agvs[agv.number].last, agv.goal))
         self.planning.goal_changed()
 
-    def _log(self, kind: str, agv: int, car: str, vertex: int, detail: dict[str, object]) -> None:
+    def _log(self, kind: str, agv: AgvNumber, car: str, vertex: Vertex, detail: dict[str, object]) -> None:
         self.events[kind] = self.events.get(kind, 0) + 1
 
 

@@ -22,19 +22,20 @@ from controller.planners.contract import all_standing
 from controller.planners.table import load_planner
 from controller.search.distances import Distances
 from controller.search.space import Space
-from controller.types import FOREVER, PlanAgent, PlanningProblem, Status, make_motion
+from controller.types import FOREVER, AgvNumber, PlanAgent, PlanningProblem, Status, make_motion
 from sumo_nets.graph import Graph
 from sumo_nets.movingai import read_map, read_scenario
+from sumo_nets.numbering import NO_EDGE, Vertex
 
 #: Options of the planners: slots are no dead ends here, and there is time to improve.
 OPTIONS: dict[str, dict[str, object]] = {"token": {"through_slots_agvs": 10**6, "improvements": 100, "passes": 10}}
 
 
-def problem_of(graph: Graph, trips: Sequence[tuple[int, int]]) -> PlanningProblem:
+def problem_of(graph: Graph, trips: Sequence[tuple[Vertex, Vertex]]) -> PlanningProblem:
     """Everybody stands at its start."""
     motion = make_motion(graph, 1.0, lambda _metres, _loaded: 1, lambda _degrees, _loaded: 0, following=True)
     free = np.zeros(len(graph.names), dtype=np.uint8)
-    agents = tuple(PlanAgent(n, start, -1, 0, goal, False) for n, (start, goal) in enumerate(trips))
+    agents = tuple(PlanAgent(AgvNumber(n), start, NO_EDGE, 0, goal, False) for n, (start, goal) in enumerate(trips))
     return PlanningProblem(graph, motion, agents, (), free, free, FOREVER)
 
 
@@ -49,7 +50,7 @@ def solve(name: str, problem: PlanningProblem) -> dict[str, object]:
     solved = result.status is Status.SOLVED
     arrivals = [path.arrive[-1] for path in result.paths.values()]
     distances = Distances(Space(problem.graph, problem.motion))
-    alone = sum(distances.distance(a.vertex, -1, a.goal, False) for a in problem.agents)
+    alone = sum(distances.distance(a.vertex, NO_EDGE, a.goal, False) for a in problem.agents)
     return {
         "map": problem.graph.name, "agents": len(problem.agents), "planner": name, "solved": solved,
         "conflicts": len(validate(problem, result)), "makespan": max(arrivals) if solved else None,

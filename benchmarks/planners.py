@@ -34,8 +34,10 @@ import pandas as pd
 
 from analysis.bound import least_work, work_alone
 from analysis.tables import load_run
+from controller.types import AgvNumber
 from parking_sim.assembly import assemble
 from parking_sim.config import Scenario, load_scenario
+from sumo_nets.numbering import Vertex
 from sumo_nets.read import read_net
 
 GARAGES = ("map1", "map2", "map3", "map1_thesis", "map2_thesis", "map3_thesis")
@@ -92,8 +94,8 @@ def shares(scenario: Scenario, tasks: pd.DataFrame, minutes: float) -> dict[str,
     world = assemble(scenario)
     graph, bays = world.net.graph, {world.net.graph.names[v] for v in world.net.graph.bays}
     step_s, warm_s = world.motion.step_s, 60 * minutes * WARM_UP
-    starts: list[int] = []
-    places: list[tuple[int, int]] = []
+    starts: list[Vertex] = []
+    places: list[tuple[Vertex, Vertex]] = []
     time_s = alone_s = 0.0
     for agv, all_of_it in tasks[tasks["delivered_s"].notna()].sort_values("assigned_s").groupby("agv"):
         before, own = (
@@ -101,7 +103,9 @@ def shares(scenario: Scenario, tasks: pd.DataFrame, minutes: float) -> dict[str,
         )
         if own.empty:
             continue
-        starts.append(world.homes[int(str(agv))] if before.empty else graph.index[before["destination"].iloc[-1]])
+        starts.append(
+            world.homes[AgvNumber(int(str(agv)))] if before.empty else graph.index[before["destination"].iloc[-1]]
+        )
         its = [(graph.index[a], graph.index[b]) for a, b in zip(own["origin"], own["destination"], strict=True)]
         places += its
         time_s += float(own["delivered_s"].max() - own["assigned_s"].min())

@@ -37,6 +37,7 @@ from analysis.measures import interval
 from analysis.tables import load_run
 from controller.fleet import Agv
 from controller.types import AgvState
+from sumo_nets.numbering import numbered
 
 FLEETS = (8, 16, 32, 64)
 LOADS = (0.7, 0.8, 0.9)
@@ -85,7 +86,7 @@ class Stopping(Lifelong):
                 self._until[n] = step + self._stops.randint(*MOVES)
         able = [until <= step for until in self._until]
         self.stood += able.count(False)
-        return [AgvState(n, c, c, True, able=able[n]) for n, c in enumerate(self.count)]
+        return [AgvState(n, c, c, True, able=able[n]) for n, c in numbered(self.count)]
 
 
 def in_warehouse(planner: str, agvs: int, share: float, seed: int, tasks: float, control: Row) -> Row:

@@ -6,7 +6,7 @@ grants. The ACS sees states and gives commands; it knows neither SUMO nor files 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,11 +21,9 @@ from controller.garage import Garage, Job
 from controller.places import choose_slot
 from controller.planning import ControlOptions, Mask, Planning
 from controller.rules import Rules
-from controller.types import Action, AgvMode, AgvState, Command, Motion, Planner
+from controller.types import NO_AGV, NO_REQUEST, Action, AgvMode, AgvNumber, AgvState, Command, Log, Motion, Planner
 from sumo_nets.graph import Graph
-
-#: How events leave the ACS: kind, AGV (-1 for none), car, vertex (-1 for none), details.
-Log = Callable[[str, int, str, int, dict[str, object]], None]
+from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex, numbered
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +43,7 @@ class Setup:
 
     graph: Graph
     motion: Motion
-    homes: Sequence[int]
+    homes: Numbered[AgvNumber, Vertex]
     garage: Garage
     rules: Rules
     options: ControlOptions
@@ -68,7 +66,7 @@ class Acs:
         self._setup = setup
         self.graph, self.garage, self.rules = setup.graph, setup.garage, setup.rules
         self.log = setup.log
-        self.agvs = [Agv(i, home, home) for i, home in enumerate(setup.homes)]
+        self.agvs: Numbered[AgvNumber, Agv] = [Agv(n, home, home) for n, home in numbered(setup.homes)]
         self.executor = Executor(setup.graph, setup.motion, setup.homes)
         self.costs = Costs(setup.graph, setup.motion, setup.garage.blocked)
         self.planning = Planning(
@@ -76,15 +74,15 @@ class Acs:
         )
         self.outages = Outages()
         self._claims = Claims(setup.garage, self.agvs, self.executor, self.costs, setup.rules.lift_bay)
-        self._attend: set[int] = set()
-        self._low: set[int] = set()
+        self._attend: set[AgvNumber] = set()
+        self._low: set[AgvNumber] = set()
         self._places: Mask = np.zeros(len(setup.graph.names), dtype=np.uint8)
         self._places[[*setup.graph.bays, *setup.graph.chargers, *setup.homes]] = 1
         self._now_s = 0.0
         self._step = 0
         self._commands: list[Command] = []
 
-    def step(self, step: int, states: Sequence[AgvState]) -> list[Command]:
+    def step(self, step: int, states: Numbered[AgvNumber, AgvState]) -> list[Command]:
         """Decide what happens next.
 
         Args:
@@ -149,14 +147,14 @@ class Acs:
         agv.action = action
         if agv.goal in self._claims.next:
             self._plan_way_out(agv)
-        request = agv.job.number if agv.job else -1
+        request = agv.job.number if agv.job else NO_REQUEST
         self._commands.append(self.executor.act(agv.number, action, steps, self._step, request))
         if steps == 0:
             self._complete(agv)
 
     def _complete(self, agv: Agv) -> None:
         action, agv.action = agv.action, None
-        agv.then = -1
+        agv.then = NO_VERTEX
         if action is Action.CHARGE:
             self.log("charge_end", agv.number, "", agv.goal, {"soc": round(agv.soc, 4)})
             self._release(agv)
@@ -239,7 +237,7 @@ class Acs:
             return agv.mode in FREE_MODES and agv.action is None
         return agv.mode is AgvMode.IDLE
 
-    def _send_charging(self, changed: Sequence[int]) -> None:
+    def _send_charging(self, changed: Sequence[AgvNumber]) -> None:
         self._low.update(n for n in changed if self.agvs[n].soc <= self.rules.charge_below)
         if not (self.garage.unfinished or self.rules.charge_unasked):
             return
@@ -271,9 +269,9 @@ class Acs:
             self._assign(offer.job, self.agvs[offer.agv], offer.origin)
         self.planning.slot_choice += self.costs.expanded - before
 
-    def _assign(self, job: Job, agv: Agv, origin: int) -> None:
+    def _assign(self, job: Job, agv: Agv, origin: Vertex) -> None:
         origin = agv.home if origin < 0 else origin
-        slot = -1
+        slot = NO_VERTEX
         if job.is_park:
             slot = choose_slot(self.garage, origin, job.request.zone, self.costs, self.rules.around_cars)
             if slot < 0:
@@ -291,14 +289,14 @@ class Acs:
         if a.standing and a.last == origin:
             self._begin(agv)
 
-    def _set_goal(self, agv: Agv, goal: int) -> None:
+    def _set_goal(self, agv: Agv, goal: Vertex) -> None:
         if agv.goal != goal:
             agv.goal = goal
             self.planning.goal_changed()
 
     def _set_mode(self, agv: Agv, mode: AgvMode) -> None:
         if agv.mode is not mode:
-            self.log("agv_mode", agv.number, "", -1, {"from": agv.mode.value, "to": mode.value})
+            self.log("agv_mode", agv.number, "", NO_VERTEX, {"from": agv.mode.value, "to": mode.value})
             agv.mode = mode
             self._attend.add(agv.number)
 
@@ -318,7 +316,7 @@ class Acs:
             if agv.off_duty:
                 self._give_back(agv)
             self._attend.add(n)
-        lost = {*fault.vertices} if fault.started and fault.kind in CLOSING else set()
+        lost: set[Vertex] = {*fault.vertices} if fault.started and fault.kind in CLOSING else set()
         lost |= {bay for bay in self._claims.next if self._claims.holder.get(bay) in self.outages.immobile}
         for agv in self.agvs:
             if agv.goal in lost and agv.goal not in self.executor.agvs[agv.number].trail:
@@ -326,15 +324,15 @@ class Acs:
         self._drop_plans_through(self._in_the_way())
         self.planning.goal_changed()
 
-    def _in_the_way(self) -> set[int]:
+    def _in_the_way(self) -> set[Vertex]:
         """Vertices closed, or held by AGVs that cannot move."""
         return {*self.outages.closed, *(v for n in self.outages.immobile for v in self.executor.agvs[n].trail)}
 
-    def _drop_plans_through(self, vertices: set[int]) -> None:
+    def _drop_plans_through(self, vertices: set[Vertex]) -> None:
         for agv, a in zip(self.agvs, self.executor.agvs, strict=True):
             if agv.immobile or vertices.intersection(a.pending):
                 self.executor.cancel(agv.number)
-                comes = self._claims.next.get(agv.goal, -1)
+                comes = self._claims.next.get(agv.goal, NO_AGV)
                 if agv.then >= 0 and comes >= 0:  # it would stand in the way of the one that is to leave
                     self.executor.cancel(comes)
 
@@ -345,7 +343,7 @@ class Acs:
             self._release(agv)
             self.garage.unassign(job)
             agv.job = None
-            self.log("task_returned", agv.number, job.car, -1, {"request": job.number})
+            self.log("task_returned", agv.number, job.car, NO_VERTEX, {"request": job.number})
         elif agv.mode is AgvMode.GOING_TO_CHARGE:
             self._release(agv)
             self._low.add(agv.number)
@@ -364,7 +362,7 @@ class Acs:
                 self._set_goal(agv, slot)
         elif agv.mode is AgvMode.RETURNING_WITH_CAR and job and agv.goal in self.garage.bays:
             self._release(agv)
-            job.destination = -1
+            job.destination = NO_VERTEX
             self._set_goal(agv, self.executor.agvs[agv.number].last)  # until ``_choose_bays`` finds another one
             self._attend.add(agv.number)
         else:

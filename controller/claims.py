@@ -6,7 +6,7 @@ AGV at work there is about to leave; it is planned to come when that one has gon
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -17,8 +17,9 @@ from controller.executor import Executor
 from controller.fleet import Agv
 from controller.garage import Garage, Job
 from controller.places import choose_bays
-from controller.types import Action
+from controller.types import Action, AgvNumber
 from sumo_nets.graph import IntArray
+from sumo_nets.numbering import Numbered, Vertex
 
 
 @dataclass(eq=False)
@@ -33,14 +34,14 @@ class Claims:
     """
 
     garage: Garage
-    agvs: Sequence[Agv]
+    agvs: Numbered[AgvNumber, Agv]
     executor: Executor
     costs: Costs
     lift_steps: int
-    holder: dict[int, int] = field(default_factory=dict)
-    next: dict[int, int] = field(default_factory=dict)
+    holder: dict[Vertex, AgvNumber] = field(default_factory=dict)
+    next: dict[Vertex, AgvNumber] = field(default_factory=dict)
 
-    def nearer_to_bays(self, a: int, b: int) -> bool:
+    def nearer_to_bays(self, a: Vertex, b: Vertex) -> bool:
         """From the first vertex it is less far with a car to some bay than from the second one to any."""
         return bool(self._steps_to_bays[a] < self._steps_to_bays[b])
 
@@ -50,7 +51,7 @@ class Claims:
         nearest: IntArray = np.min(tables, axis=0)
         return nearest
 
-    def release(self, place: int, agv: int) -> None:
+    def release(self, place: Vertex, agv: AgvNumber) -> None:
         """The AGV has done what it came for, or does not come."""
         for promised in (self.holder, self.next):
             if promised.get(place) == agv:
@@ -62,8 +63,8 @@ class Claims:
             self.holder[bay] = self.next.pop(bay)
 
     def promise_bays(
-        self, waiting: Mapping[int, Job], step: int, closed: frozenset[int], behind_others: bool
-    ) -> dict[int, int]:
+        self, waiting: Mapping[AgvNumber, Job], step: int, closed: frozenset[Vertex], behind_others: bool
+    ) -> dict[AgvNumber, Vertex]:
         """Promise bays to AGVs that carry a car to one.
 
         Args:
@@ -89,7 +90,7 @@ class Claims:
             (self.holder if bay in free else self.next)[bay] = n
         return chosen
 
-    def _leaving(self, step: int, closed: frozenset[int]) -> dict[int, int]:
+    def _leaving(self, step: int, closed: frozenset[Vertex]) -> dict[Vertex, int]:
         """Bays that an AGV at work there is about to leave, with the steps until it has.
 
         Not where a customer is still busy: that car is better taken by the AGV that is there already.
@@ -104,7 +105,7 @@ class Claims:
                     found[bay] = self.executor.ready_step(n, step) + (car is not None) * self.lift_steps
         return found
 
-    def only(self, step: int) -> dict[int, int]:
+    def only(self, step: int) -> dict[Vertex, AgvNumber]:
         """Places with the only AGV that may fetch a car there.
 
         A bay that has just been released is for the one that comes next, but who has been at work there takes the car

@@ -10,7 +10,8 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from controller.types import FOREVER, Conflict, Motion, Path, PlanAgent, PlanningProblem, PlanResult
+from controller.types import FOREVER, AgvNumber, Conflict, Motion, Path, PlanAgent, PlanningProblem, PlanResult
+from sumo_nets.numbering import EdgeIndex, Vertex
 
 
 class _Visit(NamedTuple):
@@ -18,7 +19,7 @@ class _Visit(NamedTuple):
 
     start: int
     end: int
-    agv: int
+    agv: AgvNumber
     path: Path
     i: int
 
@@ -26,9 +27,9 @@ class _Visit(NamedTuple):
 class _Move(NamedTuple):
     """An agent drives from ``tail`` to ``head``, where it arrives at ``step``."""
 
-    agv: int
-    tail: int
-    head: int
+    agv: AgvNumber
+    tail: Vertex
+    head: Vertex
     step: int
 
 
@@ -53,7 +54,7 @@ def find_conflicts(paths: Iterable[Path], motion: Motion, until: int = FOREVER) 
     return sorted((c for c in found if c.step < until), key=lambda c: (c.step, c.vertex, c.agents))
 
 
-def ring_of(paths: Iterable[Path], conflict: Conflict) -> list[tuple[int, int, int]]:
+def ring_of(paths: Iterable[Path], conflict: Conflict) -> list[tuple[AgvNumber, Vertex, Vertex]]:
     """The moves of a "swap" or "cycle" conflict without overlap, as (agent, tail, head), from its first agent on."""
     leaving = _leaving(paths)[conflict.step]
     first = next(move for move in leaving.values() if move.agv == conflict.agents[0])
@@ -104,7 +105,7 @@ def _visits(path: Path, following: bool) -> Iterator[_Visit]:
 
 def _overlaps(paths: list[Path], following: bool) -> Iterator[Conflict]:
     """Sweep each vertex's visits in order of time."""
-    by_vertex: defaultdict[int, list[_Visit]] = defaultdict(list)
+    by_vertex: defaultdict[Vertex, list[_Visit]] = defaultdict(list)
     for path in paths:
         for visit in _visits(path, following):
             by_vertex[path.vertices[visit.i]].append(visit)
@@ -120,7 +121,7 @@ def _overlaps(paths: list[Path], following: bool) -> Iterator[Conflict]:
                 present.append(visit)
 
 
-def _overlap(vertex: int, first: _Visit, second: _Visit) -> Conflict:
+def _overlap(vertex: Vertex, first: _Visit, second: _Visit) -> Conflict:
     """Name the conflict of two visits that overlap; ``first`` starts no later."""
     step = second.start
     for a, b in ((first, second), (second, first)):
@@ -139,9 +140,9 @@ def _head_on(a: _Visit, b: _Visit) -> bool:
     return a.path.depart[a.i] < b.path.arrive[b.i] and b.path.depart[b.i - 1] < a.path.arrive[a.i + 1]
 
 
-def _leaving(paths: Iterable[Path]) -> defaultdict[int, dict[int, _Move]]:
+def _leaving(paths: Iterable[Path]) -> defaultdict[int, dict[Vertex, _Move]]:
     """Moves by step of arrival and by the vertex left."""
-    moves: defaultdict[int, dict[int, _Move]] = defaultdict(dict)
+    moves: defaultdict[int, dict[Vertex, _Move]] = defaultdict(dict)
     for p in paths:
         for i in range(1, len(p.vertices)):
             moves[p.arrive[i]][p.vertices[i - 1]] = _Move(p.agv, p.vertices[i - 1], p.vertices[i], p.arrive[i])
@@ -151,7 +152,7 @@ def _leaving(paths: Iterable[Path]) -> defaultdict[int, dict[int, _Move]]:
 def _rings(paths: list[Path]) -> Iterator[Conflict]:
     """Swaps and longer rings of agents that all arrive in one step, each where the next one left."""
     for step, leaving in _leaving(paths).items():
-        seen: set[int] = set()
+        seen: set[Vertex] = set()
         for start in leaving:
             chain: list[_Move] = []
             vertex = start
@@ -198,7 +199,7 @@ def _path_faults(problem: PlanningProblem, agent: PlanAgent, path: Path) -> Iter
 
 
 def _move_faults(
-    problem: PlanningProblem, agent: PlanAgent, path: Path, i: int, ready: int, edge_in: int, edge: int
+    problem: PlanningProblem, agent: PlanAgent, path: Path, i: int, ready: int, edge_in: EdgeIndex, edge: EdgeIndex
 ) -> Iterator[str]:
     """What is wrong with the move from the i-th to the next vertex of a path."""
     u, w, depart = path.vertices[i], path.vertices[i + 1], path.depart[i]

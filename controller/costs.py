@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from controller.search.space import Space
 from controller.types import FOREVER, NEVER, Motion
 from sumo_nets.graph import FloatArray, Graph, IntArray
+from sumo_nets.numbering import Vertex
 
 
 class Costs:
@@ -34,7 +35,7 @@ class Costs:
 
     def __init__(self, graph: Graph, motion: Motion, blocked: NDArray[np.uint8], max_bytes: int = 1 << 28) -> None:
         self.step_s = motion.step_s
-        self._tables: OrderedDict[tuple[int, str], IntArray] = OrderedDict()
+        self._tables: OrderedDict[tuple[Vertex, str], IntArray] = OrderedDict()
         self._keep = max(256, max_bytes // (4 * len(graph.names)))
         into = np.argsort(graph.head, kind="stable").astype(np.int32)
         first = np.searchsorted(graph.head[into], np.arange(len(graph.names) + 1)).astype(np.int32)
@@ -47,29 +48,29 @@ class Costs:
         self._lanes = Space(graph, motion).lanes
         self.expanded = 0
 
-    def to(self, goal: int) -> IntArray:
+    def to(self, goal: Vertex) -> IntArray:
         """Steps from each vertex to the goal, shape (n,); ``FOREVER`` where it cannot be reached."""
         return self._kept(goal, "to", lambda: _dijkstra(goal, self._open, *self._into))
 
-    def out_of(self, start: int) -> IntArray:
+    def out_of(self, start: Vertex) -> IntArray:
         """Steps from a vertex to each other one, shape (n,); one-way lanes make that another way than ``to`` it."""
         return self._kept(start, "out_of", lambda: _dijkstra(start, self._open, *self._out_of))
 
-    def turning_to(self, goal: int, loaded: bool = False) -> IntArray:
+    def turning_to(self, goal: Vertex, loaded: bool = False) -> IntArray:
         """Steps to the goal from each vertex, shape (n,); ``FOREVER`` where it cannot be reached."""
         return self._kept(goal, "loaded" if loaded else "empty", lambda: self._to_one(goal, loaded))
 
-    def _to_one(self, goal: int, loaded: bool) -> tuple[IntArray, int]:
+    def _to_one(self, goal: Vertex, loaded: bool) -> tuple[IntArray, int]:
         table, expanded = self._turning([goal], [0.0], loaded)
         return table.astype(np.int32), expanded
 
-    def turning_to_any(self, goals: Sequence[int], more: Sequence[float]) -> FloatArray:
+    def turning_to_any(self, goals: Sequence[Vertex], more: Sequence[float]) -> FloatArray:
         """From each vertex the least of the steps to one of the goals and what that one costs ``more``, shape (n,)."""
         table, expanded = self._turning(goals, more, False)
         self.expanded += expanded
         return table
 
-    def _turning(self, goals: Sequence[int], more: Sequence[float], loaded: bool) -> tuple[FloatArray, int]:
+    def _turning(self, goals: Sequence[Vertex], more: Sequence[float], loaded: bool) -> tuple[FloatArray, int]:
         vertices, extra = np.array(goals, dtype=np.int32), np.array(more)
         table, expanded = _towards(vertices, extra, loaded, self._slots, self._lanes)
         cut_off = table >= FOREVER
@@ -79,7 +80,7 @@ class Costs:
             expanded += further
         return table, expanded
 
-    def _kept(self, vertex: int, kind: str, make: Callable[[], tuple[IntArray, int]]) -> IntArray:
+    def _kept(self, vertex: Vertex, kind: str, make: Callable[[], tuple[IntArray, int]]) -> IntArray:
         table = self._tables.get((vertex, kind))
         if table is None:
             table, expanded = make()
@@ -91,7 +92,7 @@ class Costs:
             self._tables.move_to_end((vertex, kind))
         return table
 
-    def around(self, start: int, blocked: NDArray[np.uint8] | None = None) -> IntArray:
+    def around(self, start: Vertex, blocked: NDArray[np.uint8] | None = None) -> IntArray:
         """Steps from a vertex to each other one, shape (n,), by ways that pass no parked car, or no ``blocked`` vertex.
 
         A blocked vertex may be where a way ends. ``FOREVER`` where there is no way.

@@ -10,7 +10,9 @@ import numpy as np
 
 from controller.costs import Costs
 from controller.garage import Job
+from controller.types import NO_AGV, AgvNumber
 from sumo_nets.graph import FloatArray
+from sumo_nets.numbering import Vertex
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,8 +26,8 @@ class Offer:
     """
 
     job: Job
-    agv: int
-    origin: int
+    agv: AgvNumber
+    origin: Vertex
 
 
 #: How many jobs ``nearest_job`` looks at, and the seconds of driving that a second of waiting outweighs.
@@ -35,10 +37,12 @@ AGE_WEIGHT = 0.2
 #: A rule gets the open jobs in the order in which they were opened (cars to be fetched when they are asked for, cars to
 #: be parked when they stand at a bay), the vertices of the available AGVs, the origins that are taken by an AGV, and
 #: the costs. It returns offers; each AGV, each job and each origin at most once.
-Rule = Callable[[Sequence[Job], Mapping[int, int], Mapping[int, int], Costs], list[Offer]]
+Rule = Callable[[Sequence[Job], Mapping[AgvNumber, Vertex], Mapping[Vertex, AgvNumber], Costs], list[Offer]]
 
 
-def nearest_agv(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, int], costs: Costs) -> list[Offer]:
+def nearest_agv(
+    jobs: Sequence[Job], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
+) -> list[Offer]:
     """Jobs in the order in which they were opened; each gets the available AGV that is nearest to the car."""
     free = dict(at)
     busy = dict(taken)
@@ -46,7 +50,7 @@ def nearest_agv(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, 
     for job in jobs:
         if not free:
             break
-        holder = busy.get(job.origin, -1)
+        holder = busy.get(job.origin, NO_AGV)
         if holder >= 0 and holder not in free:
             continue
         if holder >= 0:
@@ -63,7 +67,9 @@ def nearest_agv(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, 
     return offers
 
 
-def nearest_job(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, int], costs: Costs) -> list[Offer]:
+def nearest_job(
+    jobs: Sequence[Job], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
+) -> list[Offer]:
     """Of the oldest jobs and the available AGVs the pair with the shortest way, then the next one.
 
     An AGV that has brought a car to a bay takes the one that waits there, and of many cars that are asked for those on
@@ -78,9 +84,9 @@ def nearest_job(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, 
     for row, job in zip(cost, oldest, strict=True):
         if job.origin >= 0:  # else a car stands ready at every home
             row += costs.turning_to(job.origin)[here]
-        if taken.get(job.origin, -1) >= 0:
+        if taken.get(job.origin, NO_AGV) >= 0:
             row[agvs != taken[job.origin]] = np.inf
-    return [Offer(oldest[j], int(agvs[a]), oldest[j].origin) for j, a in pairs(cost)]
+    return [Offer(oldest[j], AgvNumber(int(agvs[a])), oldest[j].origin) for j, a in pairs(cost)]
 
 
 def oldest_first(jobs: Sequence[Job]) -> list[Job]:
@@ -98,7 +104,9 @@ def pairs(cost: FloatArray) -> Iterator[tuple[int, int]]:
         cost[row, :] = cost[:, column] = np.inf
 
 
-def in_id_order(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, int], costs: Costs) -> list[Offer]:
+def in_id_order(
+    jobs: Sequence[Job], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
+) -> list[Offer]:
     """AGVs in order of their numbers; each takes the first job whose place is not taken (thesis 2025)."""
     busy = dict(taken)
     left = list(jobs)
@@ -114,7 +122,9 @@ def in_id_order(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, 
     return offers
 
 
-def first_come(jobs: Sequence[Job], at: Mapping[int, int], taken: Mapping[int, int], costs: Costs) -> list[Offer]:
+def first_come(
+    jobs: Sequence[Job], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
+) -> list[Offer]:
     """AGVs in order of their numbers; a car is parked in its turn, but of those to be fetched the nearest goes first.
 
     So the thesis (2025) fetches cars: whichever parked car is nearest to the AGV as the cars stand now.

@@ -16,13 +16,26 @@ cannot make two AGVs meet.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from controller.types import Act, Action, Advance, AgvState, Command, Motion, Path
+from controller.types import (
+    NO_AGV,
+    NO_REQUEST,
+    Act,
+    Action,
+    Advance,
+    AgvNumber,
+    AgvState,
+    Command,
+    Motion,
+    Path,
+    RequestNumber,
+)
 from controller.visits import Refusal, malformed, visiting_order
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import NO_EDGE, NO_VERTEX, EdgeIndex, Numbered, NumberedList, Vertex, numbered, numbers
 
 
 @dataclass(slots=True)
@@ -44,21 +57,21 @@ class Authority:
         able: it takes orders; nothing is granted to one that does not.
     """
 
-    trail: deque[int]
+    trail: deque[Vertex]
     first: int = 0
     reached: int = 0
-    in_edge: int = -1
-    pending: deque[int] = field(default_factory=deque)
+    in_edge: EdgeIndex = NO_EDGE
+    pending: deque[Vertex] = field(default_factory=deque)
     standing: bool = True
     acting_until: int = -1
     acting: Action | None = None
-    turned_to: int = -1
+    turned_to: Vertex = NO_VERTEX
     since: int = 0
     loaded: bool = False
     able: bool = True
 
     @property
-    def last(self) -> int:
+    def last(self) -> Vertex:
         """Vertex where the authority ends."""
         return self.trail[-1]
 
@@ -85,31 +98,31 @@ class Executor:
         ValueError: two AGVs start on one vertex.
     """
 
-    def __init__(self, graph: Graph, motion: Motion, starts: Sequence[int], lookahead: int = 3) -> None:
+    def __init__(self, graph: Graph, motion: Motion, starts: Numbered[AgvNumber, Vertex], lookahead: int = 3) -> None:
         if len(set(starts)) != len(starts):
             raise ValueError("two AGVs start on one vertex")
         self.graph = graph
         self.motion = motion
         self.lookahead = 1 if motion.following else lookahead
-        self.agvs = [Authority(trail=deque([v])) for v in starts]
-        self.owner = [-1] * len(graph.names)
-        for agv, v in enumerate(starts):
+        self.agvs: Numbered[AgvNumber, Authority] = [Authority(trail=deque([v])) for v in starts]
+        self.owner: NumberedList[Vertex, AgvNumber] = [NO_AGV] * len(graph.names)
+        for agv, v in numbered(starts):
             self.owner[v] = agv
-        self.order: dict[int, deque[int]] = {}
-        self.moves = [0] * len(starts)
-        self.distance_m = [0.0] * len(starts)
-        self.closed: frozenset[int] = frozenset()
-        self._due: set[int] = set()
-        self._seen: list[AgvState | None] = [None] * len(starts)
-        self._unable_since: dict[int, int] = {}
+        self.order: dict[Vertex, deque[AgvNumber]] = {}
+        self.moves: NumberedList[AgvNumber, int] = [0] * len(starts)
+        self.distance_m: NumberedList[AgvNumber, float] = [0.0] * len(starts)
+        self.closed: frozenset[Vertex] = frozenset()
+        self._due: set[AgvNumber] = set()
+        self._seen: NumberedList[AgvNumber, AgvState | None] = [None] * len(starts)
+        self._unable_since: dict[AgvNumber, int] = {}
         self._stops: tuple[int, int] = (0, 0)  # how many have ended, and their steps in all
 
-    def close(self, vertices: frozenset[int]) -> None:
+    def close(self, vertices: frozenset[Vertex]) -> None:
         """Grant these vertices to nobody until this is called again; who stands there may leave."""
         self.closed = vertices
-        self._due.update(range(len(self.agvs)))
+        self._due.update(numbers(self.agvs))
 
-    def accept(self, paths: Mapping[int, Path]) -> Refusal | None:
+    def accept(self, paths: Mapping[AgvNumber, Path]) -> Refusal | None:
         """Replace all visiting orders by a plan; AGVs without a path keep their place.
 
         Args:
@@ -121,22 +134,22 @@ class Executor:
         for agv, path in paths.items():
             wrong = malformed(agv, path) if 0 <= agv < len(self.agvs) else f"there is no AGV {agv}"
             if wrong:
-                return Refusal("form", (agv,), -1, wrong)
+                return Refusal("form", (agv,), NO_VERTEX, wrong)
             if path.vertices[0] != self.agvs[agv].last:
                 return Refusal("start", (agv,), path.vertices[0], "the path does not start where the authority ends")
-        holding = {agv: a.last for agv, a in enumerate(self.agvs) if agv not in paths}
+        holding = {agv: a.last for agv, a in numbered(self.agvs) if agv not in paths}
         agvs = self.agvs
         in_edges = {n: agvs[n].in_edge for n, p in paths.items() if agvs[n].turned_to not in p.vertices[1:2]}
         order = visiting_order(paths, holding, self.graph, self.motion, in_edges)
         if isinstance(order, Refusal):
             return order
         self.order = order
-        for agv, a in enumerate(self.agvs):
+        for agv, a in numbered(self.agvs):
             a.pending = deque(paths[agv].vertices[1:]) if agv in paths else deque()
-        self._due.update(range(len(self.agvs)))
+        self._due.update(numbers(self.agvs))
         return None
 
-    def update(self, states: Iterable[AgvState], step: int) -> tuple[list[int], list[int]]:
+    def update(self, states: Iterable[AgvState], step: int) -> tuple[list[AgvNumber], list[AgvNumber]]:
         """Take over what the plant saw; free what has been left.
 
         Returns:
@@ -169,14 +182,14 @@ class Executor:
                 self._due.add(s.agv)
         return changed, finished
 
-    def _count_stop(self, agv: int, step: int) -> None:
+    def _count_stop(self, agv: AgvNumber, step: int) -> None:
         if not self.agvs[agv].able:
             self._unable_since[agv] = step
         elif agv in self._unable_since:
             count, steps = self._stops
             self._stops = count + 1, steps + step - self._unable_since.pop(agv)
 
-    def cancel(self, agv: int) -> None:
+    def cancel(self, agv: AgvNumber) -> None:
         """Drop the vertices planned but not granted."""
         for v in self.agvs[agv].pending:
             self.order[v].remove(agv)
@@ -184,11 +197,11 @@ class Executor:
                 self._due.add(self.order[v][0])
         self.agvs[agv].pending.clear()
 
-    def reconsider(self, agv: int) -> None:
+    def reconsider(self, agv: AgvNumber) -> None:
         """See in the next call of ``grants`` whether this AGV can go on: an order has been changed for it."""
         self._due.add(agv)
 
-    def act(self, agv: int, action: Action, steps: int, step: int, request: int = -1) -> Act:
+    def act(self, agv: AgvNumber, action: Action, steps: int, step: int, request: RequestNumber = NO_REQUEST) -> Act:
         """Start an action of a standing AGV and return the command for it.
 
         Raises:
@@ -218,9 +231,9 @@ class Executor:
             self._due.clear()
         return commands
 
-    def _extend(self, agv: int, step: int, commands: list[Command]) -> None:
+    def _extend(self, agv: AgvNumber, step: int, commands: list[Command]) -> None:
         a = self.agvs[agv]
-        run: list[int] = []
+        run: list[Vertex] = []
         while a.pending and a.able and a.acting_until < 0 and a.granted - a.reached < self.lookahead:
             w = a.pending[0]
             edge = self.graph.edge_index[a.last, w]
@@ -232,14 +245,14 @@ class Executor:
                         break
                     a.turned_to = w
                     if self.graph.reverse[edge] >= 0:  # it stands now as if it had come from there
-                        a.in_edge = int(self.graph.reverse[edge])
+                        a.in_edge = EdgeIndex(int(self.graph.reverse[edge]))
                     if rotation:
                         commands.append(self.act(agv, Action.TURN, rotation, step))
                         break
             if not self._claim(agv, w):
                 break
             a.pending.popleft()
-            a.turned_to = -1
+            a.turned_to = NO_VERTEX
             if self.motion.following:
                 self._leave_behind(agv)
             a.trail.append(w)
@@ -253,28 +266,28 @@ class Executor:
             self.moves[agv] += len(run)
             commands.append(Advance(agv, tuple(run)))
 
-    def _claim(self, agv: int, vertex: int) -> bool:
+    def _claim(self, agv: AgvNumber, vertex: Vertex) -> bool:
         if self.owner[vertex] not in (-1, agv) or self.order[vertex][0] != agv or vertex in self.closed:
             return False
         self.order[vertex].popleft()
         self.owner[vertex] = agv
         return True
 
-    def _leave_behind(self, agv: int) -> None:
+    def _leave_behind(self, agv: AgvNumber) -> None:
         """Free the vertex an AGV stands on: in discrete ticks a granted move is carried out in this very tick."""
         a = self.agvs[agv]
         a.first += 1
         self._free(agv, a.trail.popleft())
 
-    def _free(self, agv: int, vertex: int) -> None:
+    def _free(self, agv: AgvNumber, vertex: Vertex) -> None:
         if vertex in self.agvs[agv].trail:
             return
-        self.owner[vertex] = -1
+        self.owner[vertex] = NO_AGV
         waiting = self.order.get(vertex)
         if waiting:
             self._due.add(waiting[0])
 
-    def leave_steps(self, agv: int, step: int) -> list[int]:
+    def leave_steps(self, agv: AgvNumber, step: int) -> list[int]:
         """Estimated steps until an AGV has left each vertex of its trail; for the last one, until it can leave it."""
         a = self.agvs[agv]
         if a.acting_until >= 0:
@@ -289,7 +302,7 @@ class Executor:
             left.append(max(clock, 1))
         return [*left, 0 if a.standing else max(clock, 1)]
 
-    def ready_step(self, agv: int, step: int) -> int:
+    def ready_step(self, agv: AgvNumber, step: int) -> int:
         """Estimated steps until an AGV can leave the end of its authority.
 
         One that takes no orders is expected to go on so for as long as that has taken on average so far.

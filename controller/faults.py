@@ -14,6 +14,12 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import TypeVar
+
+from controller.types import AgvNumber
+from sumo_nets.numbering import Vertex
+
+_Number = TypeVar("_Number", AgvNumber, Vertex)
 
 #: Kinds of fault that AGVs report: they cannot move.
 IMMOBILE = frozenset({"breakdown", "repair", "battery", "zone_stop", "all_stop"})
@@ -40,8 +46,8 @@ class FaultReport:
     number: int
     kind: str
     started: bool
-    agvs: tuple[int, ...] = ()
-    vertices: tuple[int, ...] = ()
+    agvs: tuple[AgvNumber, ...] = ()
+    vertices: tuple[Vertex, ...] = ()
 
 
 @dataclass(slots=True)
@@ -54,10 +60,10 @@ class Outages:
         closed: vertices that nobody may enter.
     """
 
-    immobile: Counter[int] = field(default_factory=Counter)
-    off_duty: Counter[int] = field(default_factory=Counter)
-    closed: frozenset[int] = frozenset()
-    _closed: Counter[int] = field(default_factory=Counter)
+    immobile: Counter[AgvNumber] = field(default_factory=Counter)
+    off_duty: Counter[AgvNumber] = field(default_factory=Counter)
+    closed: frozenset[Vertex] = frozenset()
+    _closed: Counter[Vertex] = field(default_factory=Counter)
 
     def take(self, fault: FaultReport) -> None:
         """Take note of a fault that begins or ends."""
@@ -70,7 +76,7 @@ class Outages:
             self.closed = frozenset(self._closed)
 
 
-def _add(count: Counter[int], keys: tuple[int, ...], one: int) -> None:
+def _add(count: Counter[_Number], keys: tuple[_Number, ...], one: int) -> None:
     for key in keys:
         count[key] += one
         if not count[key]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from controller.garage import Job
-from controller.types import Action, AgvMode
+from controller.types import Action, AgvMode, AgvNumber
+from sumo_nets.numbering import NO_VERTEX, Vertex
 
 #: Base priority by state (thesis 2025, III-2): a car on its way out first, then charging, then work on cars.
 BASE_PRIORITY = {
@@ -37,20 +38,20 @@ class Agv:
         off_duty: it gets no task until its fault is repaired.
     """
 
-    number: int
-    home: int
-    goal: int
+    number: AgvNumber
+    home: Vertex
+    goal: Vertex
     mode: AgvMode = AgvMode.IDLE
     job: Job | None = None
     action: Action | None = None
-    then: int = -1
+    then: Vertex = NO_VERTEX
     soc: float = 1.0
     tasks: int = 0
     immobile: bool = False
     off_duty: bool = False
 
     @property
-    def heads_for(self) -> int:
+    def heads_for(self) -> Vertex:
         """Where its plan has to end."""
         return self.goal if self.then < 0 else self.then
 

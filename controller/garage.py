@@ -15,8 +15,19 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.types import CallForward, Command, DriveOff, HandOver, Request, RequestKind
+from controller.types import (
+    NO_AGV,
+    AgvNumber,
+    CallForward,
+    Command,
+    DriveOff,
+    HandOver,
+    Request,
+    RequestKind,
+    RequestNumber,
+)
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import NO_VERTEX, NumberedList, Vertex
 
 JobState = Literal["waiting", "served", "refused"]
 
@@ -36,14 +47,14 @@ class Job:
         requested_s, at_bay_s, ready_s, assigned_s, lifted_s, delivered_s, done_s: when, NaN until then.
     """
 
-    number: int
+    number: RequestNumber
     request: Request
     handling_s: float
     state: JobState = "waiting"
     reason: str = ""
-    agv: int = -1
-    origin: int = -1
-    destination: int = -1
+    agv: AgvNumber = NO_AGV
+    origin: Vertex = NO_VERTEX
+    destination: Vertex = NO_VERTEX
     requested_s: float = nan
     at_bay_s: float = nan
     ready_s: float = nan
@@ -94,17 +105,17 @@ class Garage:
         self._handling = handling
         self._handling_mu = float(np.log(handling_median_s)) if handling_median_s > 0 else None
         self._handling_sigma = handling_sigma
-        self.jobs: list[Job] = []
+        self.jobs: NumberedList[RequestNumber, Job] = []
         self.open: list[Job] = []
         self.queue: deque[Job] = deque()
         self.bays = {bay: BayPlaces() for bay in graph.bays}
-        self.parked: dict[str, int] = {}
-        self.slot_of: dict[int, str] = dict.fromkeys(graph.slots, "")
+        self.parked: dict[str, Vertex] = {}
+        self.slot_of: dict[Vertex, str] = dict.fromkeys(graph.slots, "")
         self.slots = np.array(graph.slots, dtype=np.int32)
         self.slot_free: NDArray[np.bool_] = np.ones(len(graph.slots), dtype=np.bool_)
         self.slot_open: NDArray[np.bool_] = np.ones(len(graph.slots), dtype=np.bool_)
         self._slot_number = {slot: k for k, slot in enumerate(graph.slots)}
-        self.reserved: dict[int, int] = {}
+        self.reserved: dict[Vertex, AgvNumber] = {}
         self.blocked: NDArray[np.uint8] = np.zeros(len(graph.names), dtype=np.uint8)
         self.arrived = 0
         self.left = 0
@@ -126,13 +137,13 @@ class Garage:
         if len(cars) > len(self.graph.slots):
             raise ValueError(f"{len(cars)} cars for {len(self.graph.slots)} slots")
         for car, slot in zip(cars, rng.permutation(self.graph.slots)[: len(cars)], strict=True):
-            self._put(car, int(slot))
+            self._put(car, Vertex(int(slot)))
         self.initial = len(cars)
         self._inside = set(cars)
 
     def request(self, request: Request, now_s: float) -> Job:
         """Enter a request in the books; it may be refused at once."""
-        job = Job(len(self.jobs), request, self._draw_handling(), requested_s=now_s)
+        job = Job(RequestNumber(len(self.jobs)), request, self._draw_handling(), requested_s=now_s)
         self.jobs.append(job)
         self.unfinished += 1
         if job.is_park:
@@ -185,7 +196,7 @@ class Garage:
 
     # --- customers' side of the bays ------------------------------------------------------------------------------
 
-    def call_forward(self, closed: frozenset[int] = frozenset()) -> list[Command]:
+    def call_forward(self, closed: frozenset[Vertex] = frozenset()) -> list[Command]:
         """Send waiting customers, in their order, to bays whose inbound place is free."""
         commands: list[Command] = []
         for bay, places in self.bays.items():
@@ -198,7 +209,7 @@ class Garage:
                 commands.append(CallForward(job.number, bay))
         return commands
 
-    def car_at_bay(self, request: int, bay: int, now_s: float) -> Job:
+    def car_at_bay(self, request: RequestNumber, bay: Vertex, now_s: float) -> Job:
         """A customer's car has stopped at the inbound place; the job is open from now on."""
         job = self.jobs[request]
         if self.bays[bay].inbound is not job:
@@ -208,7 +219,7 @@ class Garage:
         self.open.append(job)
         return job
 
-    def waiting_at(self, bay: int) -> Job | None:
+    def waiting_at(self, bay: Vertex) -> Job | None:
         """The car that stands at a bay and that no AGV has been sent for."""
         job = self.bays[bay].inbound
         return job if job and job.agv < 0 and job.at_bay_s == job.at_bay_s else None
@@ -220,7 +231,7 @@ class Garage:
             self._boarding.remove(job)
         return [DriveOff(j.number, j.destination) for j in gone]
 
-    def car_left(self, request: int, bay: int, now_s: float) -> Job:
+    def car_left(self, request: RequestNumber, bay: Vertex, now_s: float) -> Job:
         """A retrieved car has driven off: its request is served and the outbound place is free."""
         job = self.jobs[request]
         if self.bays[bay].outbound is not job:
@@ -231,7 +242,7 @@ class Garage:
 
     # --- AGVs' side -----------------------------------------------------------------------------------------------
 
-    def assign(self, job: Job, agv: int, now_s: float, origin: int, slot: int = -1) -> None:
+    def assign(self, job: Job, agv: AgvNumber, now_s: float, origin: Vertex, slot: Vertex = NO_VERTEX) -> None:
         """An AGV takes an open job; a parking job reserves its slot."""
         self.open.remove(job)
         job.agv, job.assigned_s, job.origin = agv, now_s, origin
@@ -245,19 +256,19 @@ class Garage:
         if job.is_park:
             self.reserved.pop(job.destination)
             self.slot_free[self._slot_number[job.destination]] = True
-        job.agv, job.destination, job.assigned_s = -1, -1, nan
+        job.agv, job.destination, job.assigned_s = NO_AGV, NO_VERTEX, nan
         if job.is_park and self.handover == "home":
-            job.origin = -1
+            job.origin = NO_VERTEX
         self.open.insert(0, job)
 
-    def move_reservation(self, job: Job, slot: int) -> None:
+    def move_reservation(self, job: Job, slot: Vertex) -> None:
         """Reserve another slot for a car on its way to one."""
         self.reserved[slot] = self.reserved.pop(job.destination)
         self.slot_free[self._slot_number[job.destination]] = True
         self.slot_free[self._slot_number[slot]] = False
         job.destination = slot
 
-    def close(self, vertices: frozenset[int]) -> None:
+    def close(self, vertices: frozenset[Vertex]) -> None:
         """Let no slot among these be chosen until this is called again."""
         self.slot_open[:] = [slot not in vertices for slot in self.graph.slots]
 
@@ -272,7 +283,7 @@ class Garage:
             self.slot_of[slot] = ""
             self.blocked[slot] = 0
 
-    def vacate(self, slot: int) -> None:
+    def vacate(self, slot: Vertex) -> None:
         """Whoever lifted the car in a slot has somewhere to bring it: the slot may be chosen for another one."""
         if slot not in self.reserved and not self.slot_of[slot]:
             self.slot_free[self._slot_number[slot]] = True
@@ -303,7 +314,7 @@ class Garage:
         self._boarding.append(job)
         return [HandOver(job.number, job.destination)]
 
-    def _put(self, car: str, slot: int) -> None:
+    def _put(self, car: str, slot: Vertex) -> None:
         self.parked[car] = slot
         self.slot_of[slot] = car
         self.slot_free[self._slot_number[slot]] = False

@@ -9,7 +9,9 @@ import numpy as np
 from controller.costs import Costs
 from controller.dispatch import AGE_WEIGHT, oldest_first, pairs
 from controller.garage import Garage, Job
+from controller.types import AgvNumber
 from sumo_nets.graph import FloatArray, IntArray
+from sumo_nets.numbering import NO_VERTEX, Vertex
 
 #: Part of the way from a slot to the next car asked for that counts when the slot is chosen: another AGV may take that
 #: car by then.
@@ -20,7 +22,7 @@ ONWARD_WEIGHT = 0.5
 WAIT_WEIGHT = 0.02
 
 
-def choose_slot(garage: Garage, origin: int, zone: str, costs: Costs, around_cars: bool = False) -> int:
+def choose_slot(garage: Garage, origin: Vertex, zone: str, costs: Costs, around_cars: bool = False) -> Vertex:
     """The free slot with the shortest way there, and on to a car that is asked for; -1 when all are taken.
 
     Args:
@@ -35,10 +37,11 @@ def choose_slot(garage: Garage, origin: int, zone: str, costs: Costs, around_car
         wanted = np.array([garage.graph.names[v].startswith(zone) for v in free], dtype=np.bool_)
         free = free[wanted] if wanted.any() else free
     if not len(free):
-        return -1
+        return NO_VERTEX
     if around_cars:
-        return int(free[np.argmin(costs.around(origin)[free])])
-    return int(free[np.argmin(costs.out_of(origin)[free] + ONWARD_WEIGHT * _onward(free, garage.open, costs))])
+        return Vertex(int(free[np.argmin(costs.around(origin)[free])]))
+    cost = costs.out_of(origin)[free] + ONWARD_WEIGHT * _onward(free, garage.open, costs)
+    return Vertex(int(free[np.argmin(cost)]))
 
 
 def _onward(slots: IntArray, jobs: Sequence[Job], costs: Costs) -> FloatArray:
@@ -51,12 +54,12 @@ def _onward(slots: IntArray, jobs: Sequence[Job], costs: Costs) -> FloatArray:
 
 
 def choose_bays(
-    at: Mapping[int, int],
-    since_s: Mapping[int, float],
-    free: Mapping[int, int],
-    leaving: Mapping[int, int],
+    at: Mapping[AgvNumber, Vertex],
+    since_s: Mapping[AgvNumber, float],
+    free: Mapping[Vertex, int],
+    leaving: Mapping[Vertex, int],
     costs: Costs,
-) -> dict[int, int]:
+) -> dict[AgvNumber, Vertex]:
     """Bays for AGVs that carry a car to one: of all pairs the one with the shortest way first, then the next.
 
     Args:

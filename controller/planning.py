@@ -17,10 +17,22 @@ from controller.fleet import Agv, priority
 from controller.reordering import reorder
 from controller.replanning import anybody_stands, waits_ahead, without_plan
 from controller.rules import Rules
-from controller.types import FOREVER, AgvMode, Counters, Path, PlanAgent, Planner, PlanningProblem, PlanResult
+from controller.types import (
+    FOREVER,
+    NO_AGV,
+    AgvMode,
+    AgvNumber,
+    Counters,
+    Log,
+    Path,
+    PlanAgent,
+    Planner,
+    PlanningProblem,
+    PlanResult,
+)
 from controller.visits import retime
+from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex, numbered
 
-Log = Callable[[str, int, str, int, dict[str, object]], None]
 Mask = NDArray[np.uint8]
 
 #: Added to an AGV's number for the places it still holds on its way to the end of its authority.
@@ -99,7 +111,7 @@ class Planning:
         self,
         planner: Planner,
         options: ControlOptions,
-        agvs: list[Agv],
+        agvs: Numbered[AgvNumber, Agv],
         executor: Executor,
         rules: Rules,
         costs: Costs,
@@ -121,9 +133,9 @@ class Planning:
         self._score = 0
         self._last = -options.period_steps
         self._changed = True
-        self._expected: frozenset[tuple[int, int]] = frozenset()
-        self._ended: frozenset[int] = frozenset()
-        self._meeting: frozenset[int] = frozenset()
+        self._expected: frozenset[tuple[AgvNumber, Vertex]] = frozenset()
+        self._ended: frozenset[AgvNumber] = frozenset()
+        self._meeting: frozenset[AgvNumber] = frozenset()
         self.calls: list[PlanningCall] = []
         self.counters = Counters()
         self.slot_choice = 0
@@ -196,7 +208,7 @@ class Planning:
     def _reorder(self, step: int) -> None:
         cell = self._rules.cell_steps
         for first, behind, gain in reorder(self._executor, step, cell, self._ladder.locked):
-            self._log("reordered", first, "", -1, {"before": behind, "gain_moves": round(gain / cell, 2)})
+            self._log("reordered", first, "", NO_VERTEX, {"before": behind, "gain_moves": round(gain / cell, 2)})
 
     def _under_way(self) -> bool:
         if self._ladder.resolving:
@@ -211,7 +223,7 @@ class Planning:
         free = [agv for agv in self._agvs if agv.number not in locked and not agv.immobile]
         if not self._complete:
             return free
-        ends = [a.pending[-1] if a.pending else a.last for a in self._executor.agvs]
+        ends: Numbered[AgvNumber, Vertex] = [a.pending[-1] if a.pending else a.last for a in self._executor.agvs]
         return [agv for agv in free if ends[agv.number] != agv.heads_for or agv.number in self._meeting]
 
     def _problem(self, step: int, blocked: Mask, no_rest: Mask) -> PlanningProblem:
@@ -247,7 +259,7 @@ class Planning:
         if refusal:
             self._log("plan_rejected", refusal.agents[0], "", refusal.vertex, {"reason": refusal.reason})
         elif result.failed:
-            self._log("plan_partial", -1, "", -1, {"failed": sorted(result.failed)})
+            self._log("plan_partial", NO_AGV, "", NO_VERTEX, {"failed": sorted(result.failed)})
 
     def _watch(self, step: int, problem: PlanningProblem) -> None:
         """Look for deadlock among those who really wait, adapt the window, and have deadlocks resolved."""
@@ -256,7 +268,7 @@ class Planning:
         self._adapt(waits)
         self._ladder.step(step, waits, problem)
 
-    def _cut_off(self, problem: PlanningProblem) -> set[int]:
+    def _cut_off(self, problem: PlanningProblem) -> set[AgvNumber]:
         """AGVs whose goal is closed, or can't be reached because of closed vertices and AGVs that cannot move."""
         ex = self._executor
         if not ex.closed and not any(agv.immobile for agv in self._agvs):
@@ -275,16 +287,16 @@ class Planning:
             self._window = max(o.window_min, self._window - o.window_step)
 
 
-def trails(executor: Executor, step: int, immobile: Collection[int] = ()) -> list[Path]:
+def trails(executor: Executor, step: int, immobile: Collection[AgvNumber] = ()) -> list[Path]:
     """What moving AGVs still hold before the end of their authority, as places that others must keep clear of.
 
     They stand under numbers of their own (``TRAIL`` + AGV), since the AGV's own path starts where its authority ends.
     AGVs that are ``immobile`` keep all of it for ever.
     """
     paths = []
-    for agv, a in enumerate(executor.agvs):
+    for agv, a in numbered(executor.agvs):
         if len(a.trail) > 1:
             held = list(zip(a.trail, executor.leave_steps(agv, step), strict=True))[:-1]
             stays = agv in immobile
-            paths += [Path(TRAIL + agv, (v,), (0,), (), FOREVER if stays else until) for v, until in held]
+            paths += [Path(AgvNumber(TRAIL + agv), (v,), (0,), (), FOREVER if stays else until) for v, until in held]
     return paths

@@ -16,11 +16,14 @@ from collections import deque
 from collections.abc import Collection, Mapping
 
 from controller.executor import Executor
-from controller.types import Path
+from controller.types import AgvNumber, Path
 from controller.visits import retime
+from sumo_nets.numbering import Vertex, numbered
 
 
-def reorder(executor: Executor, step: int, least_gain: int, keep: Collection[int] = ()) -> list[tuple[int, int, int]]:
+def reorder(
+    executor: Executor, step: int, least_gain: int, keep: Collection[AgvNumber] = ()
+) -> list[tuple[AgvNumber, AgvNumber, int]]:
     """Let AGVs that wait for a late one go first where that pays.
 
     Args:
@@ -33,8 +36,8 @@ def reorder(executor: Executor, step: int, least_gain: int, keep: Collection[int
         The switches made: who goes first now, before whom, and the steps gained.
     """
     made = []
-    before: Mapping[int, Path] | None = None
-    for agv, a in enumerate(executor.agvs):
+    before: Mapping[AgvNumber, Path] | None = None
+    for agv, a in numbered(executor.agvs):
         if not (a.standing and a.acting_until < 0 and a.pending and a.able) or agv in keep:
             continue
         vertex = a.pending[0]
@@ -55,7 +58,7 @@ def reorder(executor: Executor, step: int, least_gain: int, keep: Collection[int
     return made
 
 
-def _switch(executor: Executor, agv: int, ahead: int) -> dict[int, deque[int]]:
+def _switch(executor: Executor, agv: AgvNumber, ahead: AgvNumber) -> dict[Vertex, deque[AgvNumber]]:
     """Put one AGV before another at its next vertices, as long as that one is before it; returns the old orders."""
     old = {}
     for v in executor.agvs[agv].pending:
@@ -68,7 +71,7 @@ def _switch(executor: Executor, agv: int, ahead: int) -> dict[int, deque[int]]:
     return old
 
 
-def _gain(before: Mapping[int, Path], after: Mapping[int, Path]) -> int | None:
+def _gain(before: Mapping[AgvNumber, Path], after: Mapping[AgvNumber, Path]) -> int | None:
     """Steps by which all together arrive earlier; None if somebody does not get as far any more."""
     if any(len(after[n].vertices) < len(before[n].vertices) for n in before):
         return None

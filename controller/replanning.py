@@ -11,14 +11,15 @@ from collections.abc import Collection, Iterator
 
 from controller.executor import Executor
 from controller.fleet import Agv
-from controller.types import Path
+from controller.types import AgvNumber, Path
 from controller.visits import retime
+from sumo_nets.numbering import Vertex
 
 #: A wait is one from so many moves on.
 LEAST_WAIT_MOVES = 0.5
 
 
-def waits_ahead(executor: Executor, step: int, within: int, cell_steps: int) -> frozenset[tuple[int, int]]:
+def waits_ahead(executor: Executor, step: int, within: int, cell_steps: int) -> frozenset[tuple[AgvNumber, Vertex]]:
     """Where AGVs will have to wait for others.
 
     Args:
@@ -39,7 +40,7 @@ def waits_ahead(executor: Executor, step: int, within: int, cell_steps: int) -> 
     )
 
 
-def _waits(executor: Executor, step: int, path: Path, within: int) -> Iterator[tuple[int, int]]:
+def _waits(executor: Executor, step: int, path: Path, within: int) -> Iterator[tuple[Vertex, int]]:
     """Vertices a path waits for, and how long."""
     a = executor.agvs[path.agv]
     ready, in_edge = executor.ready_step(path.agv, step), a.in_edge
@@ -56,7 +57,7 @@ def _waits(executor: Executor, step: int, path: Path, within: int) -> Iterator[t
         ready, in_edge = path.arrive[i + 1], edge
 
 
-def without_plan(executor: Executor, agvs: Collection[Agv]) -> frozenset[int]:
+def without_plan(executor: Executor, agvs: Collection[Agv]) -> frozenset[AgvNumber]:
     """AGVs whose plan has come to its end, but not to their goal."""
     states = ((agv, executor.agvs[agv.number]) for agv in agvs if not agv.immobile)
     return frozenset(agv.number for agv, a in states if not a.pending and a.last != agv.goal)

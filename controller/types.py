@@ -9,11 +9,24 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Final, NewType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sumo_nets.graph import Graph, IntArray
+from sumo_nets.numbering import NO_VERTEX, EdgeIndex, Vertex, numbered
+
+#: Number of an AGV, and of its agent in planning: its position in the fleet.
+AgvNumber = NewType("AgvNumber", int)
+NO_AGV: Final = AgvNumber(-1)
+
+#: How events leave the controller: kind, AGV (or ``NO_AGV``), car, vertex (or ``NO_VERTEX``), details.
+Log = Callable[[str, AgvNumber, str, Vertex, dict[str, object]], None]
+
+#: Number of a request, and of its job: its position among all requests of the run.
+RequestNumber = NewType("RequestNumber", int)
+NO_REQUEST: Final = RequestNumber(-1)
 
 #: "For ever": later than any step of a run, small enough to add durations to without overflow of int32.
 FOREVER = 1 << 29
@@ -85,7 +98,7 @@ class AgvState:
         able: it can take orders; a fault that it reports makes it unable.
     """
 
-    agv: int
+    agv: AgvNumber
     reached: int
     left: int
     standing: bool
@@ -116,11 +129,11 @@ class Motion:
     first_transition: IntArray
     following: bool
 
-    def transition(self, graph: Graph, edge_in: int, edge_out: int) -> int:
+    def transition(self, graph: Graph, edge_in: EdgeIndex, edge_out: EdgeIndex) -> int:
         """Column of an edge and a next edge in the turn tables."""
         return int(self.first_transition[edge_in]) + edge_out - int(graph.first_out[graph.head[edge_in]])
 
-    def turn(self, graph: Graph, edge_in: int, edge_out: int, loaded: bool) -> int:
+    def turn(self, graph: Graph, edge_in: EdgeIndex, edge_out: EdgeIndex, loaded: bool) -> int:
         """Steps to turn from one edge to the next; 0 without an edge to come from (``edge_in`` -1)."""
         return 0 if edge_in < 0 else int(self.turn_steps[int(loaded), self.transition(graph, edge_in, edge_out)])
 
@@ -150,10 +163,8 @@ def make_motion(
     degree = np.diff(graph.first_out)
     first = np.concatenate(([0], np.cumsum(degree[graph.head]))).astype(np.int32)
     angles = np.zeros(int(first[-1]))
-    for e in range(m):
-        out = int(graph.first_out[graph.head[e]])
-        for k in range(int(first[e]), int(first[e + 1])):
-            f = out + k - int(first[e])
+    for e, (_, head) in numbered(graph.ends):
+        for k, f in enumerate(graph.out_edges(head), start=int(first[e])):
             folds = f != graph.reverse[e] and graph.bend_deg(e, f) > FOLD_DEG
             angles[k] = np.inf if folds else 180.0 if f == graph.reverse[e] else round(graph.turn_deg(e, f), 3)
     kinds, which = np.unique(angles, return_inverse=True)
@@ -185,8 +196,8 @@ class Path:
         until: end of the last vertex's occupation: the window's end, or ``FOREVER`` when it may rest there.
     """
 
-    agv: int
-    vertices: tuple[int, ...]
+    agv: AgvNumber
+    vertices: tuple[Vertex, ...]
     arrive: tuple[int, ...]
     depart: tuple[int, ...]
     until: int = FOREVER
@@ -209,15 +220,15 @@ class PlanAgent:
         avoids_slots: it may not pass through slots, but for its start and goal; heeded by the thesis's planners only.
     """
 
-    agv: int
-    vertex: int
-    in_edge: int
+    agv: AgvNumber
+    vertex: Vertex
+    in_edge: EdgeIndex
     ready_step: int
-    goal: int
+    goal: Vertex
     loaded: bool
     dwell_steps: int = 0
     priority: int = 0
-    turned_to: int = -1
+    turned_to: Vertex = NO_VERTEX
     avoids_slots: bool = False
 
 
@@ -297,8 +308,8 @@ class PlanResult:
     """
 
     status: Status
-    paths: Mapping[int, Path]
-    failed: Mapping[int, int] = field(default_factory=dict)
+    paths: Mapping[AgvNumber, Path]
+    failed: Mapping[AgvNumber, AgvNumber] = field(default_factory=dict)
     counters: Counters = field(default_factory=Counters)
 
 
@@ -319,8 +330,8 @@ class Conflict:
     """
 
     kind: str
-    agents: tuple[int, int]
-    vertex: int
+    agents: tuple[AgvNumber, AgvNumber]
+    vertex: Vertex
     step: int
 
 
@@ -328,42 +339,42 @@ class Conflict:
 class Advance:
     """Command: drive on to these vertices, granted in this order, and stop at the last."""
 
-    agv: int
-    vertices: tuple[int, ...]
+    agv: AgvNumber
+    vertices: tuple[Vertex, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Act:
     """Command: do this while standing, for so many steps. ``request`` is whose car is lifted or lowered, -1: none."""
 
-    agv: int
+    agv: AgvNumber
     action: Action
     steps: int
-    request: int = -1
+    request: RequestNumber = NO_REQUEST
 
 
 @dataclass(frozen=True, slots=True)
 class CallForward:
     """Command: send the customer who waits in the street to this bay's inbound place."""
 
-    request: int
-    bay: int
+    request: RequestNumber
+    bay: Vertex
 
 
 @dataclass(frozen=True, slots=True)
 class HandOver:
     """Command: a retrieved car stands at the bay's outbound place, its customer gets in."""
 
-    request: int
-    bay: int
+    request: RequestNumber
+    bay: Vertex
 
 
 @dataclass(frozen=True, slots=True)
 class DriveOff:
     """Command: the customer of a retrieved car leaves the bay's outbound place."""
 
-    request: int
-    bay: int
+    request: RequestNumber
+    bay: Vertex
 
 
 Command = Advance | Act | CallForward | HandOver | DriveOff

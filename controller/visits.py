@@ -17,8 +17,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from controller.kernel import kernel
-from controller.types import FOREVER, NEVER, Motion, Path
+from controller.types import FOREVER, NEVER, AgvNumber, Motion, Path
 from sumo_nets.graph import Graph, IntArray
+from sumo_nets.numbering import EdgeIndex, Vertex, numbered, numbers
 
 if TYPE_CHECKING:
     from controller.executor import Executor
@@ -38,12 +39,12 @@ class Refusal:
     """
 
     kind: str
-    agents: tuple[int, ...]
-    vertex: int
+    agents: tuple[AgvNumber, ...]
+    vertex: Vertex
     reason: str
 
 
-def malformed(agv: int, path: Path) -> str:
+def malformed(agv: AgvNumber, path: Path) -> str:
     """What is wrong with a path by itself, whatever the graph; "" if nothing."""
     arrive, depart = path.arrive, path.depart
     if path.agv != agv:
@@ -83,12 +84,12 @@ class _Rows(NamedTuple):
 
 
 def visiting_order(
-    paths: Mapping[int, Path],
-    holding: Mapping[int, int],
+    paths: Mapping[AgvNumber, Path],
+    holding: Mapping[AgvNumber, Vertex],
     graph: Graph,
     motion: Motion,
-    in_edges: Mapping[int, int] | None = None,
-) -> dict[int, deque[int]] | Refusal:
+    in_edges: Mapping[AgvNumber, EdgeIndex] | None = None,
+) -> dict[Vertex, deque[AgvNumber]] | Refusal:
     """Order the visits of each vertex by the plan's times.
 
     Two visits of one vertex must not overlap in time: then every wait points back in time, so that the orders have no
@@ -118,7 +119,7 @@ def visiting_order(
     meet = np.flatnonzero(others & (entered[1:] < ends[:-1]))
     if len(meet):
         k = int(meet[0])
-        a, b, v = int(agv[k]), int(agv[k + 1]), int(vertex[k])
+        a, b, v = AgvNumber(int(agv[k])), AgvNumber(int(agv[k + 1])), Vertex(int(vertex[k]))
         reason = f"AGVs {a} and {b} both plan to be on {graph.names[v]} at step {entered[k + 1]}"
         return Refusal("conflict", (a, b), v, reason)
     if motion.following:
@@ -171,7 +172,7 @@ def _undrivable(vertices: Longs, first: Longs, in_edges: Longs, floor: _Floor) -
 
 def _no_move(path: Path, vertices: Longs, k: int, graph: Graph) -> Refusal:
     """Why the move to the ``k``-th vertex can't be driven."""
-    u, v = int(vertices[k - 1]), int(vertices[k])
+    u, v = Vertex(int(vertices[k - 1])), Vertex(int(vertices[k]))
     to = graph.names[v] if 0 <= v < len(graph.names) else f"vertex {v}"
     reason = f"no lane from {graph.names[u]} to {to}"
     if (u, v) in graph.edge_index:
@@ -180,7 +181,7 @@ def _no_move(path: Path, vertices: Longs, k: int, graph: Graph) -> Refusal:
 
 
 def _rows(
-    paths: Mapping[int, Path], holding: Mapping[int, int], vertices: Longs, first: Longs, following: bool
+    paths: Mapping[AgvNumber, Path], holding: Mapping[AgvNumber, Vertex], vertices: Longs, first: Longs, following: bool
 ) -> _Rows:
     """The visits of a plan."""
     start, last = first[:-1], first[1:] - 1
@@ -215,8 +216,8 @@ def _ring(before: Longs, after: Longs, rows: _Rows, moving: int) -> Refusal | No
     ring = [k]
     while needed[ring[-1]] != k:
         ring.append(int(needed[ring[-1]]))
-    members = tuple(sorted({int(rows.agv[i]) for i in ring}))
-    vertex = int(rows.vertex[min(ring, key=lambda i: (rows.agv[i], i))])
+    members = tuple(sorted({AgvNumber(int(rows.agv[i])) for i in ring}))
+    vertex = Vertex(int(rows.vertex[min(ring, key=lambda i: (rows.agv[i], i))]))
     return Refusal("cycle", members, vertex, f"AGVs {members} would have to move on in a ring")
 
 
@@ -234,7 +235,7 @@ def _on_ring(following: Longs) -> int:
     return -1
 
 
-def _queues(vertex: Longs, agv: Longs) -> dict[int, deque[int]]:
+def _queues(vertex: Longs, agv: Longs) -> dict[Vertex, deque[AgvNumber]]:
     """AGVs by vertex; both sorted by vertex."""
     agvs = agv.tolist()
     starts = np.flatnonzero(np.diff(vertex, prepend=-1)).tolist()
@@ -242,7 +243,7 @@ def _queues(vertex: Longs, agv: Longs) -> dict[int, deque[int]]:
     return {v: deque(agvs[a:b]) for v, a, b in zip(vertex[starts].tolist(), starts, ends, strict=True)}
 
 
-def retime(executor: Executor, step: int) -> dict[int, Path]:
+def retime(executor: Executor, step: int) -> dict[AgvNumber, Path]:
     """When each AGV will be where if the accepted orders are carried out without delay from now on.
 
     Args:
@@ -254,9 +255,9 @@ def retime(executor: Executor, step: int) -> dict[int, Path]:
         one that has no plan to leave is cut there.
     """
     agvs, n = executor.agvs, len(executor.graph.names)
-    clock = np.array([executor.ready_step(agv, step) for agv in range(len(agvs))], dtype=np.int64)
+    clock = np.array([executor.ready_step(agv, step) for agv in numbers(agvs)], dtype=np.int64)
     free_at = np.zeros(n, dtype=np.int64)
-    for agv, a in enumerate(agvs):
+    for agv, a in numbered(agvs):
         if len(a.trail) > 1:
             free_at[list(a.trail)[:-1]] = clock[agv]
     here = np.array([a.last for a in agvs], dtype=np.int64)
@@ -275,7 +276,7 @@ def retime(executor: Executor, step: int) -> dict[int, Path]:
     v, t, d = way.tolist(), arrive.tolist(), depart.tolist()
     return {
         agv: Path(agv, (a.last, *v[i:j]), (0, *t[i:j]), tuple(d[i:j]))
-        for agv, (a, i, j) in enumerate(zip(agvs, first[:-1].tolist(), (first[:-1] + done).tolist(), strict=True))
+        for (agv, a), i, j in zip(numbered(agvs), first[:-1].tolist(), (first[:-1] + done).tolist(), strict=True)
     }
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from controller.acs import Acs, Log, Setup
+from controller.acs import Acs, Setup
 from controller.deadlock.ladder import LadderLimits
 from controller.dispatch import DISPATCH
 from controller.garage import Garage
@@ -17,7 +17,7 @@ from controller.planners.cbs import CbsLimits
 from controller.planners.table import load_planner
 from controller.planning import ControlOptions
 from controller.rules import Rules
-from controller.types import Motion
+from controller.types import AgvNumber, Log, Motion
 from demand.types import Demand, stream
 from demand.workloads import make_demand
 from parking_sim.config import AgvConfig, ControlConfig, Scenario
@@ -28,6 +28,7 @@ from parking_sim.plants.faulty import BreakablePlant, FaultyPlant
 from parking_sim.rulesets import RULE_SETS, TickRules
 from sumo_nets.doors import one_door_each
 from sumo_nets.in_use import first_places
+from sumo_nets.numbering import Numbered, Vertex
 from sumo_nets.read import GarageNet, read_net
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class World:
 
     scenario: Scenario
     net: GarageNet
-    homes: tuple[int, ...]
+    homes: Numbered[AgvNumber, Vertex]
     demand: Demand
     motion: Motion
     rules: Rules

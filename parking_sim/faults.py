@@ -10,10 +10,12 @@ import heapq
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from controller.types import NO_AGV, AgvNumber
 from demand.types import stream
 from parking_sim.errors import InputError
 from parking_sim.fault_config import AGV_FAULTS, DRAWN_FAULTS, AnyFault, Drawn, FaultConfig
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import NO_VERTEX, Vertex
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +33,8 @@ class Fault:
     start_s: float
     kind: str
     for_s: float
-    agv: int = -1
-    vertex: int = -1
+    agv: AgvNumber = NO_AGV
+    vertex: Vertex = NO_VERTEX
 
 
 def fault_stream(config: FaultConfig, graph: Graph, agvs: int, seed: int) -> Iterator[Fault]:
@@ -53,9 +55,9 @@ def fault_stream(config: FaultConfig, graph: Graph, agvs: int, seed: int) -> Ite
         if drawn is None or drawn.per_h == 0:
             continue
         if kind in AGV_FAULTS:
-            streams += [_drawn(kind, drawn, seed, agv, ()) for agv in range(agvs)]
+            streams += [_drawn(kind, drawn, seed, AgvNumber(agv), ()) for agv in range(agvs)]
         elif kind == "all_stop" or _places(kind, graph):
-            streams.append(_drawn(kind, drawn, seed, -1, _places(kind, graph)))
+            streams.append(_drawn(kind, drawn, seed, NO_AGV, _places(kind, graph)))
     return heapq.merge(*streams, key=lambda fault: fault.start_s)
 
 
@@ -67,34 +69,34 @@ def scripted_faults(config: FaultConfig, graph: Graph, agvs: int) -> list[Fault]
             raise InputError(f"faults.script[{number}].agv: {row.agv}: AGVs have the numbers 0 to {agvs - 1}")
         if row.place and row.place not in graph.index:
             raise InputError(f"faults.script[{number}].place: {row.place!r}: {graph.name} has no such vertex")
-        vertex = graph.index[row.place] if row.place else -1
+        vertex = graph.index[row.place] if row.place else NO_VERTEX
         known = {"bay": graph.bays, "charger": graph.chargers}.get(row.kind)
         if known is not None and vertex not in known:
             raise InputError(f"faults.script[{number}].place: {row.place!r} is no {row.kind}")
-        faults.append(Fault(row.at_s, row.kind, row.for_s, row.agv, vertex))
+        faults.append(Fault(row.at_s, row.kind, row.for_s, AgvNumber(row.agv), vertex))
     return sorted(faults, key=lambda fault: fault.start_s)
 
 
-def _places(kind: AnyFault, graph: Graph) -> tuple[int, ...]:
+def _places(kind: AnyFault, graph: Graph) -> tuple[Vertex, ...]:
     """Where a fault of this kind may be: lanes and slots, since a blocked home or bay has its own kind or none."""
     if kind == "bay":
         return graph.bays
     if kind == "charger":
         return graph.chargers
     if kind == "zone_stop":
-        return tuple(range(len(graph.names)))
+        return tuple(graph.vertices)
     if kind == "blocked":
         kept = {*graph.bays, *graph.chargers, *graph.homes}
-        return tuple(v for v in range(len(graph.names)) if v not in kept)
+        return tuple(v for v in graph.vertices if v not in kept)
     return ()
 
 
-def _drawn(kind: AnyFault, drawn: Drawn, seed: int, agv: int, places: Sequence[int]) -> Iterator[Fault]:
+def _drawn(kind: AnyFault, drawn: Drawn, seed: int, agv: AgvNumber, places: Sequence[Vertex]) -> Iterator[Fault]:
     rng = stream(seed, f"fault {kind} {agv}")
     time_s = 0.0
     while True:
         time_s += float(rng.exponential(3600.0 / drawn.per_h))
         for_s = float(rng.uniform(drawn.least_s, drawn.most_s))
-        vertex = int(places[int(rng.integers(len(places)))]) if places else -1
+        vertex = places[int(rng.integers(len(places)))] if places else NO_VERTEX
         yield Fault(time_s, kind, for_s, agv, vertex)
         time_s += for_s

@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from controller.types import AgvNumber
 from sumo_nets.graph import FloatArray
 
 #: An empty AGV gets under a parked car when the middle of its front or rear is within this many metres of the car's
@@ -63,8 +64,8 @@ class Nearness:
     """
 
     time_s: float
-    agv: int
-    other: int | str
+    agv: AgvNumber
+    other: AgvNumber | str
     clear_m: float
 
 
@@ -110,10 +111,10 @@ class FootprintCheck:
         self._pairs = np.zeros((_MAX_PAIRS, 2), dtype=np.int64)
         self._least = np.full(2, np.inf)
         self._closest: list[Nearness | None] = [None, None]
-        self._overlapping: set[tuple[int, int | str]] = set()
+        self._overlapping: set[tuple[AgvNumber, AgvNumber | str]] = set()
         self._overlap_steps = 0
 
-    def lowered(self, car: str, agv: int) -> None:
+    def lowered(self, car: str, agv: AgvNumber) -> None:
         """A car stands where this AGV was in the last step; it takes up the AGV's rectangle.
 
         Raises:
@@ -159,9 +160,9 @@ class FootprintCheck:
             self._rows, self._parked.rows, self._under, self._least, self._pairs,
         )  # fmt: skip
         if agv >= 0:
-            self._closest[0] = Nearness(time_s, agv, other, float(self._least[0]))
+            self._closest[0] = Nearness(time_s, AgvNumber(agv), AgvNumber(other), float(self._least[0]))
         if near >= 0:
-            self._closest[1] = Nearness(time_s, near, self._parked.names[near_car], float(self._least[1]))
+            self._closest[1] = Nearness(time_s, AgvNumber(near), self._parked.names[near_car], float(self._least[1]))
         if found or self._overlapping:
             self._note(time_s, self._pairs[:found].tolist())
 
@@ -181,7 +182,9 @@ class FootprintCheck:
 
     def _note(self, time_s: float, pairs: Sequence[Sequence[int]]) -> None:
         names = self._parked.names
-        now: set[tuple[int, int | str]] = {(i, j if j >= 0 else names[-1 - j]) for i, j in pairs}
+        now: set[tuple[AgvNumber, AgvNumber | str]] = {
+            (AgvNumber(i), AgvNumber(j) if j >= 0 else names[-1 - j]) for i, j in pairs
+        }
         fresh = sorted(now - self._overlapping, key=lambda pair: (pair[0], str(pair[1])))
         self.events += [Nearness(time_s, agv, other, 0.0) for agv, other in fresh]
         self._overlap_steps += len(now)

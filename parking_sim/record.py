@@ -24,11 +24,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.types import NO_AGV, AgvNumber, RequestNumber
+
 if TYPE_CHECKING:
     import duckdb
 
     from parking_sim.plants import AgvSample
     from sumo_nets.graph import Graph
+    from sumo_nets.numbering import Numbered, Vertex
     from sumo_nets.read import GarageNet
 
 #: Not reached: the value of a time that never came.
@@ -205,12 +208,12 @@ META: Mapping[str, tuple[str, str]] = {
 class TaskRow:
     """One request and what became of it; the fields are the columns of ``COLUMNS["tasks"]``."""
 
-    request: int
+    request: RequestNumber
     kind: str
     car: str
     state: str
     reason: str = ""
-    agv: int = -1
+    agv: AgvNumber = NO_AGV
     origin: str = ""
     destination: str = ""
     requested_s: float = NAN
@@ -226,7 +229,7 @@ class TaskRow:
 class AgvRow:
     """What one AGV did in the whole run; the fields are the columns of ``COLUMNS["agvs"]``."""
 
-    agv: int
+    agv: AgvNumber
     moves: int = 0
     distance_m: float = 0.0
     tasks: int = 0
@@ -265,7 +268,9 @@ class Recorder:
         self._event = self._rows["events"].append
         self._samples = self._rows["trajectory"].extend
 
-    def event(self, time_s: float, kind: str, agv: int = -1, car: str = "", vertex: str = "", **detail: object) -> None:
+    def event(
+        self, time_s: float, kind: str, agv: AgvNumber = NO_AGV, car: str = "", vertex: str = "", **detail: object
+    ) -> None:
         """Something happened.
 
         Args:
@@ -337,7 +342,7 @@ class Recorder:
 
     def floor(self, graph: Graph) -> None:
         """The garage, once per run: with it a record can be drawn and replayed by itself."""
-        roles: list[list[str]] = [[] for _ in graph.names]
+        roles: Numbered[Vertex, list[str]] = [[] for _ in graph.names]
         for role, vertices in graph.roles.items():
             for v in vertices:
                 roles[v].append(role)
@@ -357,7 +362,7 @@ class Recorder:
             (number, edge, part, x, y) for number, (edge, part, shape) in enumerate(lines) for x, y in shape.tolist()
         ]
 
-    def plan(self, time_s: float, agv: int, granted: int, path: Sequence[int]) -> None:
+    def plan(self, time_s: float, agv: AgvNumber, granted: int, path: Sequence[Vertex]) -> None:
         """An AGV's plan has changed. See ``COLUMNS["plans"]``."""
         self._rows["plans"].append((time_s, agv, granted, " ".join(map(str, path))))
 

@@ -13,6 +13,7 @@ from parking_sim.errors import InputError
 if TYPE_CHECKING:
     from controller.routing.binary_tree import Route
     from sumo_nets.graph import Graph
+    from sumo_nets.numbering import Vertex
 
 _UNFINISHED = 1
 
@@ -76,13 +77,15 @@ def turns(
     raise typer.Exit(_UNFINISHED if bad else 0)
 
 
-def _vertex(graph: Graph, net: str, name: str) -> int:
+def _vertex(graph: Graph, net: str, name: str) -> Vertex:
     if name not in graph.index:
-        raise InputError(f"{net}: {name!r}: no such vertex; vertices are called like {', '.join(graph.names[:3])}")
+        raise InputError(
+            f"{net}: {name!r}: no such vertex; vertices are called like {', '.join(list(graph.names)[:3])}"
+        )
     return graph.index[name]
 
 
-def _tree_routes(graph: Graph, start: int, goal: int) -> Mapping[str, Route]:
+def _tree_routes(graph: Graph, start: Vertex, goal: Vertex) -> Mapping[str, Route]:
     """The binary tree's routes by the search that found them."""
     from controller.routing.binary_tree import compile_tree, find_routes
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from controller.faults import REPORTED, FaultReport
 from controller.garage import Job
-from controller.types import Action, Advance, AgvMode, Request
+from controller.types import NO_AGV, Action, Advance, AgvMode, AgvNumber, Request
 from parking_sim.assembly import World, assemble
 from parking_sim.config import Scenario
 from parking_sim.folders import clear_run
@@ -23,6 +23,7 @@ from parking_sim.journal import FLUSH_S, Journal
 from parking_sim.plants import CarAtBay
 from parking_sim.record import AgvRow, Recorder, TaskRow
 from parking_sim.scenario_file import write_scenario
+from sumo_nets.numbering import NO_VERTEX, Numbered, NumberedList, Vertex, numbered
 
 if TYPE_CHECKING:
     from parking_sim.footprint import FootprintCheck
@@ -122,20 +123,21 @@ class _Run:
         self._phase = -1
         self._pending: list[Request] = []
         self._phase_start_s = 0.0
-        self._activity = [dict.fromkeys(_ACTIVITIES, 0) for _ in self.acs.agvs]
+        self._activity: Numbered[AgvNumber, dict[str, int]] = [dict.fromkeys(_ACTIVITIES, 0) for _ in self.acs.agvs]
         self._wall = dict.fromkeys(("plant", "control", "planning", "check", "record"), 0.0)
         self._last_task = -1
         self._moved = (0, 0)
         self._moved_s = 0.0
         self._ready: list[Job] = []
-        self._plans: list[tuple[int, tuple[int, ...]]] = [(0, ())] * len(self.acs.agvs)
+        no_plan: tuple[int, tuple[Vertex, ...]] = (0, ())
+        self._plans: NumberedList[AgvNumber, tuple[int, tuple[Vertex, ...]]] = [no_plan] * len(self.acs.agvs)
         self._overlaps = 0
         self._log_grants = world.scenario.record.grants
-        self._soc = [1.0] * len(self.acs.agvs)
-        self._drawn = [0.0] * len(self.acs.agvs)
+        self._soc: NumberedList[AgvNumber, float] = [1.0] * len(self.acs.agvs)
+        self._drawn: NumberedList[AgvNumber, float] = [0.0] * len(self.acs.agvs)
         self._footprint: FootprintCheck | None = None
         for car, slot in self.garage.parked.items():
-            self._log("car_initial", -1, car, slot, {})
+            self._log("car_initial", NO_AGV, car, slot, {})
 
     @property
     def now_s(self) -> float:
@@ -229,16 +231,16 @@ class _Run:
             if isinstance(event, CarAtBay):
                 job = self.garage.car_at_bay(event.request, event.bay, self.now_s)
                 self._ready.append(job)
-                self._log("car_at_bay", -1, job.car, event.bay, {"request": job.number})
+                self._log("car_at_bay", NO_AGV, job.car, event.bay, {"request": job.number})
             elif isinstance(event, FaultReport):
                 self._fault(event)
             else:
                 job = self.garage.car_left(event.request, event.bay, self.now_s)
-                self._log("car_left", -1, job.car, event.bay, {"request": job.number})
+                self._log("car_left", NO_AGV, job.car, event.bay, {"request": job.number})
                 self._log("task_done", job.agv, job.car, event.bay, {"request": job.number})
         for job in [j for j in self._ready if j.ready_s <= self.now_s]:
             self._ready.remove(job)
-            self._log("car_ready", -1, job.car, job.origin, {"request": job.number})
+            self._log("car_ready", NO_AGV, job.car, job.origin, {"request": job.number})
         if not self._pending and self.garage.unfinished == 0:
             self._next_phase()
         while self._pending and self._pending[-1].time_s + self._phase_start_s <= self.now_s:
@@ -249,7 +251,7 @@ class _Run:
         detail: dict[str, object] = {"fault": fault.number, "cause": fault.kind}
         if fault.started:
             detail |= {"agvs": fault.agvs, "vertices": fault.vertices}
-        agv, vertex = (*fault.agvs, -1)[0], (*fault.vertices, -1)[0]
+        agv, vertex = (*fault.agvs, NO_AGV)[0], (*fault.vertices, NO_VERTEX)[0]
         self._log("fault_start" if fault.started else "fault_end", agv, "", vertex, detail)
         if fault.kind in REPORTED:
             self.acs.report(fault)
@@ -262,9 +264,9 @@ class _Run:
 
     def _request(self, request: Request) -> None:
         job = self.garage.request(request, self.now_s)
-        self._log("request_made", -1, job.car, -1, {"request": job.number, "what": request.kind.value})
+        self._log("request_made", NO_AGV, job.car, NO_VERTEX, {"request": job.number, "what": request.kind.value})
         if job.state == "refused":
-            self._log("request_refused", -1, job.car, -1, {"request": job.number, "reason": job.reason})
+            self._log("request_refused", NO_AGV, job.car, NO_VERTEX, {"request": job.number, "reason": job.reason})
         elif job.is_park and self.garage.handover == "bay":
             self.plant.arrive(job.number)
 
@@ -293,14 +295,14 @@ class _Run:
         t = perf_counter()
         self._footprint.step(self.now_s, self._sumo.bodies())
         for near in self._footprint.events[self._overlaps :]:
-            self._log("overlap", near.agv, "", -1, {"others": [near.other], "clearance_m": near.clear_m})
+            self._log("overlap", near.agv, "", NO_VERTEX, {"others": [near.other], "clearance_m": near.clear_m})
         self._overlaps = len(self._footprint.events)
         self._wall["check"] += perf_counter() - t
 
     def _park_initial(self, check: FootprintCheck) -> None:
         """Tell the footprint check of the cars that are parked before the run starts."""
         net, agv = self.world.net, self.world.scenario.agv
-        into = {int(v): e for e, v in enumerate(net.graph.head)}
+        into = {v: e for e, (_, v) in numbered(net.graph.ends)}
         ends = np.array([net.shapes[into[slot]][-2:] for slot in self.garage.parked.values()]).reshape(-1, 2, 2)
         (x, y), (dx, dy) = ends[:, 1].T, (ends[:, 1] - ends[:, 0]).T
         from parking_sim.footprint import Bodies
@@ -320,7 +322,7 @@ class _Run:
         )
         if self.world.scenario.record.plans:
             self._sample_plans()
-        for i, agv in enumerate(agvs):
+        for i, agv in numbered(agvs):
             self._drawn[i] += max(0.0, self._soc[i] - agv.soc)
             self._soc[i] = agv.soc
         street = self._sumo.street() if self._sumo is not None else None
@@ -332,14 +334,14 @@ class _Run:
 
     def _sample_plans(self) -> None:
         """Record the plans that have changed: from the vertex reached last, through those granted, to the end."""
-        for i, a in enumerate(self.acs.executor.agvs):
+        for i, a in numbered(self.acs.executor.agvs):
             ahead = list(a.trail)[max(0, a.reached - a.first) :]
             plan = (len(ahead), (*ahead, *a.pending))
             if plan != self._plans[i]:
                 self._plans[i] = plan
                 self.recorder.plan(self.now_s, i, *plan)
 
-    def _log(self, kind: str, agv: int, car: str, vertex: int, detail: dict[str, object]) -> None:
+    def _log(self, kind: str, agv: AgvNumber, car: str, vertex: Vertex, detail: dict[str, object]) -> None:
         if self._footprint is not None and kind == "lift":
             self._footprint.lifted(car)
         elif self._footprint is not None and kind == "lower" and vertex in self.garage.slot_of:
@@ -359,7 +361,7 @@ class _Run:
         """Write the record and work out the metrics."""
         for job in self.garage.jobs:
             self.recorder.task(self._task_row(job))
-        for i, agv in enumerate(self.acs.agvs):
+        for i, agv in numbered(self.acs.agvs):
             self.recorder.agv(self._agv_row(i, agv.tasks))
         meta = self._meta(status)
         from analysis.checks import failed_checks, run_checks
@@ -376,7 +378,7 @@ class _Run:
         return Summary(status, metrics, out, failed_checks(run_checks(meta, metrics)))
 
     def _task_row(self, job: Job) -> TaskRow:
-        def name(vertex: int) -> str:
+        def name(vertex: Vertex) -> str:
             return self.names[vertex] if vertex >= 0 else ""
 
         return TaskRow(
@@ -385,7 +387,7 @@ class _Run:
             job.delivered_s, job.done_s,
         )  # fmt: skip
 
-    def _agv_row(self, i: int, tasks: int) -> AgvRow:
+    def _agv_row(self, i: AgvNumber, tasks: int) -> AgvRow:
         ex = self.acs.executor
         seconds = {f"{k}_s": n * self.step_s for k, n in self._activity[i].items()}
         battery_wh = self.world.scenario.agv.battery_wh if self._sumo is not None else 0.0

@@ -7,12 +7,13 @@ little behind while it turns. This module does the same.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sumo_nets.graph import FloatArray, IntArray
+from sumo_nets.numbering import EdgeIndex, Numbered, numbers
 
 #: Body of an AGV, loaded or not. On the 6.5 m cells of the thesis 5 m would touch an AGV ahead in a 90-degree turn.
 AGV_LENGTH_M = 4.7
@@ -43,11 +44,11 @@ class ClosestBodies:
     """
 
     gap_m: float
-    first: int
-    second: int
+    first: EdgeIndex
+    second: EdgeIndex
 
 
-def standing_bodies(shapes: Sequence[FloatArray]) -> FloatArray:
+def standing_bodies(shapes: Collection[FloatArray]) -> FloatArray:
     """Bodies of AGVs standing at the ends of lanes.
 
     Args:
@@ -60,7 +61,7 @@ def standing_bodies(shapes: Sequence[FloatArray]) -> FloatArray:
     return _bodies(rears, np.array([shape[-1] for shape in shapes]))
 
 
-def closest_standing(tail: IntArray, head: IntArray, shapes: Sequence[FloatArray]) -> ClosestBodies | None:
+def closest_standing(tail: IntArray, head: IntArray, shapes: Numbered[EdgeIndex, FloatArray]) -> ClosestBodies | None:
     """The least room between two AGVs standing at different vertices, by whatever lanes they came.
 
     An AGV owns its vertex and both directions of the lane it stands on, so two lanes into one vertex and the two
@@ -79,7 +80,7 @@ def closest_standing(tail: IntArray, head: IntArray, shapes: Sequence[FloatArray
     return _least(bodies, bodies, a[possible], b[possible], np.arange(len(bodies), dtype=np.int32))
 
 
-def closest_moving(tail: IntArray, head: IntArray, shapes: Sequence[FloatArray]) -> ClosestBodies | None:
+def closest_moving(tail: IntArray, head: IntArray, shapes: Numbered[EdgeIndex, FloatArray]) -> ClosestBodies | None:
     """The least room between an AGV driving from one lane onto the next and one standing elsewhere.
 
     Every way through every vertex is driven in small steps, but for those that fold back into a spur beside the one
@@ -152,7 +153,7 @@ def ways_past(into: Sequence[FloatArray], out_of: Sequence[FloatArray]) -> list[
 
 
 def driving_bodies(
-    tail: IntArray, head: IntArray, shapes: Sequence[FloatArray]
+    tail: IntArray, head: IntArray, shapes: Numbered[EdgeIndex, FloatArray]
 ) -> Iterator[tuple[FloatArray, IntArray, IntArray]]:
     """Bodies of AGVs on their way from every lane to every next one, but for ways that fold back.
 
@@ -163,12 +164,12 @@ def driving_bodies(
     Yields:
         In batches: bodies as in :func:`standing_bodies`, the lane each comes from and the lane it drives onto.
     """
-    leaving: dict[int, list[int]] = {}
-    for lane, v in enumerate(tail.tolist()):
-        leaving.setdefault(v, []).append(lane)
+    leaving: dict[int, list[EdgeIndex]] = {}
+    for lane in numbers(shapes):
+        leaving.setdefault(int(tail[lane]), []).append(lane)
     bodies: list[FloatArray] = []
     lanes: list[tuple[int, int]] = []
-    for before in range(len(tail)):
+    for before in numbers(shapes):
         for onto in leaving.get(int(head[before]), ()):
             if head[onto] != tail[before] and not _folds_back(shapes[before], shapes[onto]):
                 driven = _drive(shapes[before], shapes[onto])
@@ -245,7 +246,7 @@ def _least(
         return None
     gaps = _gaps(bodies_a[a], bodies_b[b])
     least = int(np.argmin(gaps))
-    return ClosestBodies(float(gaps[least]), int(lane_of_a[a[least]]), int(b[least]))
+    return ClosestBodies(float(gaps[least]), EdgeIndex(int(lane_of_a[a[least]])), EdgeIndex(int(b[least])))
 
 
 def _gaps(a: FloatArray, b: FloatArray, size_m: tuple[float, float] = AGV_SIZE_M) -> FloatArray:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Iterator
-
-import numpy as np
+from collections.abc import Iterator, Sequence
 
 from sumo_nets.bodies import MIN_GAP_M, MIN_LANE_M, ClosestBodies, closest_moving, closest_standing
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import EdgeIndex, Numbered, Vertex, numbered
 from sumo_nets.read import GarageNet
 from sumo_nets.well_formed import describe
 
@@ -67,8 +66,8 @@ def _check_counts(graph: Graph) -> Iterator[str]:
 
 def _check_lanes(garage: GarageNet) -> Iterator[str]:
     graph = garage.graph
-    for e, name in enumerate(graph.edge_names):
-        twin = int(graph.reverse[e])
+    for e, name in numbered(graph.edge_names):
+        twin = EdgeIndex(int(graph.reverse[e]))
         if twin >= 0 and not garage.bidi[e]:
             yield f"{name}: not marked bidi with {graph.edge_names[twin]}, so no AGV can reverse there"
         elif twin > e and abs(graph.length_m[e] - graph.length_m[twin]) > 0.005:
@@ -80,9 +79,9 @@ def _check_lanes(garage: GarageNet) -> Iterator[str]:
 def _check_ways(graph: Graph) -> Iterator[str]:
     """Ways between every bay and every slot, home and charger, both ways, through no other place where AGVs stay."""
     places = {v for role in ("slot", "bay", "home", "charger") for v in graph.roles[role]}
-    forward = [list(heads) for heads in graph.successors]
-    backward: list[list[int]] = [[] for _ in forward]
-    for u, v in zip(graph.tail.tolist(), graph.head.tolist(), strict=True):
+    forward = graph.successors
+    backward: Numbered[Vertex, list[Vertex]] = [[] for _ in forward]
+    for u, v in graph.ends:
         backward[v].append(u)
     # on an open floor slots and homes lie in the way by design, and are passed while nobody stands there
     open_floor = any(len({*forward[v], *backward[v]}) > 1 for v in graph.slots)
@@ -98,7 +97,7 @@ def _check_ways(graph: Graph) -> Iterator[str]:
                 yield f"no way {way} {graph.names[missing[0]]}{more}"
 
 
-def _reached(start: int, neighbours: list[list[int]], closed: set[int]) -> set[int]:
+def _reached(start: Vertex, neighbours: Numbered[Vertex, Sequence[Vertex]], closed: set[Vertex]) -> set[Vertex]:
     """Vertices reached without leaving any closed vertex but the start."""
     seen = {start}
     queue = deque(seen)
@@ -114,8 +113,8 @@ def _reached(start: int, neighbours: list[list[int]], closed: set[int]) -> set[i
 
 
 def _check_chargers(garage: GarageNet) -> Iterator[str]:
-    chargers = np.array(garage.graph.chargers, dtype=np.int32)
-    for e in np.flatnonzero(np.isin(garage.graph.head, chargers)).tolist():
+    leading = sorted(e for charger in garage.graph.chargers for e in garage.graph.in_edges(charger))
+    for e in leading:
         if e not in garage.charging_station_of_edge:
             yield f"{garage.graph.edge_names[e]}: leads to a charger, but has no chargingStation"
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import EdgeIndex, Vertex, numbered
 from sumo_nets.read import GarageNet
 
 
@@ -30,20 +31,16 @@ def one_door_each(net: GarageNet) -> GarageNet:
     """
     graph = net.graph
     slots = set(graph.slots)
-    door: dict[int, int] = {}
+    door: dict[Vertex, Vertex] = {}
     for slot in graph.slots:
         around = [v for v in graph.successors[slot] if v not in slots]
         if not around:
             raise ValueError(f"slot {graph.names[slot]} of {net.name} can only be reached through other slots")
         door[slot] = min(around)
-    kept = [
-        e
-        for e, (u, v) in enumerate(zip(graph.tail.tolist(), graph.head.tolist(), strict=True))
-        if door.get(u, v) == v and door.get(v, u) == u
-    ]
+    kept = [e for e, (u, v) in numbered(graph.ends) if door.get(u, v) == v and door.get(v, u) == u]
     if len(kept) == len(graph.tail):
         return net
-    position = {e: i for i, e in enumerate(kept)}
+    position = {e: EdgeIndex(i) for i, e in enumerate(kept)}
     index = np.array(kept)
     smaller = Graph(
         graph.name,

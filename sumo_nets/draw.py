@@ -9,6 +9,7 @@ import numpy as np
 
 from sumo_nets.bodies import AGV_LENGTH_M, AGV_WIDTH_M, standing_bodies
 from sumo_nets.graph import FloatArray, Role
+from sumo_nets.numbering import Vertex, numbered
 from sumo_nets.read import GarageNet
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def _draw_lanes(axes: Axes, garage: GarageNet) -> None:
         (~two_way, _ONE_WAY, 0.45, 3.1),
     )
     for chosen, colour, width, order in lines:
-        paths = [garage.shapes[e] if spur[e] else ends[e] for e in np.flatnonzero(chosen)]
+        paths = [garage.shapes[e] if spur[e] else ends[e] for e in graph.edges if chosen[e]]
         axes.add_collection(
             LineCollection(paths, colors=colour, linewidths=_points(width), capstyle="round", zorder=order)
         )
@@ -121,13 +122,13 @@ def _draw_lanes(axes: Axes, garage: GarageNet) -> None:
         _arrow(axes, ends[e], 0.62, _ONE_WAY, 0.9)
 
 
-def _spur_ends(garage: GarageNet) -> set[int]:
+def _spur_ends(garage: GarageNet) -> set[Vertex]:
     """Ends of spurs: one lane in, one out, the same neighbour. An open floor, where slots are aisle too, has none."""
     graph = garage.graph
     entries = np.bincount(graph.head, minlength=len(graph.names))
     ends = {
         v
-        for v, out in enumerate(graph.successors)
+        for v, out in numbered(graph.successors)
         if len(out) == 1 and entries[v] == 1 and v in graph.successors[out[0]]
     }
     return ends if ends.issuperset(graph.slots) else set()
@@ -142,7 +143,7 @@ def _draw_places(axes: Axes, garage: GarageNet) -> None:
         boxes = []
         for v in graph.roles[role]:
             if v in spurs:
-                boxes.append(_box(standing_bodies([garage.shapes[int(np.flatnonzero(graph.head == v)[0])]])[0]))
+                boxes.append(_box(standing_bodies([garage.shapes[graph.in_edges(v)[0]]])[0]))
             else:
                 # where any aisle may lead through, the place is the cell; smaller for a role drawn on top
                 boxes.append(_square(graph.xy[v], 2.5 - 0.6 * (role == "home")))

@@ -2,7 +2,7 @@
 
 Vertices are SUMO junctions, edges are SUMO edges. An AGV "at" a vertex stands with its front at the end of the edge
 it came by. Edges are sorted by tail vertex, so the edges that leave vertex ``v`` are
-``range(first_out[v], first_out[v + 1])``.
+``range(first_out[v], first_out[v + 1])``. The types of vertex and edge indices are in ``sumo_nets.numbering``.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from typing import Literal
 import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
+
+from sumo_nets.numbering import NO_EDGE, EdgeIndex, Numbered, Vertex, numbered, numbers
 
 IntArray = NDArray[np.int32]
 FloatArray = NDArray[np.float64]
@@ -39,13 +41,13 @@ class Graph:
     """
 
     name: str
-    names: tuple[str, ...]
+    names: Numbered[Vertex, str]
     xy: FloatArray
     tail: IntArray
     head: IntArray
     length_m: FloatArray
-    edge_names: tuple[str, ...]
-    roles: Mapping[Role, tuple[int, ...]]
+    edge_names: Numbered[EdgeIndex, str]
+    roles: Mapping[Role, tuple[Vertex, ...]]
     first_out: IntArray = field(init=False)
     reverse: IntArray = field(init=False)
 
@@ -53,46 +55,67 @@ class Graph:
         n = len(self.names)
         counts = np.bincount(self.tail, minlength=n)
         object.__setattr__(self, "first_out", np.concatenate(([0], np.cumsum(counts))).astype(np.int32))
-        index = {(int(u), int(v)): e for e, (u, v) in enumerate(zip(self.tail, self.head, strict=True))}
-        twins = [index.get((int(v), int(u)), -1) for u, v in zip(self.tail, self.head, strict=True)]
+        twins = [self.edge_index.get((v, u), NO_EDGE) for u, v in self.ends]
         object.__setattr__(self, "reverse", np.array(twins, dtype=np.int32))
 
     @property
-    def slots(self) -> tuple[int, ...]:
+    def vertices(self) -> Sequence[Vertex]:
+        """All vertex indices, in order."""
+        return numbers(self.names)
+
+    @property
+    def edges(self) -> Sequence[EdgeIndex]:
+        """All edge indices, in order."""
+        return numbers(self.edge_names)
+
+    def out_edges(self, vertex: Vertex) -> Sequence[EdgeIndex]:
+        """Edges that leave a vertex."""
+        return self.edges[int(self.first_out[vertex]) : int(self.first_out[vertex + 1])]
+
+    def in_edges(self, vertex: Vertex) -> Sequence[EdgeIndex]:
+        """Edges that lead to a vertex."""
+        return [EdgeIndex(e) for e in np.flatnonzero(self.head == vertex).tolist()]
+
+    @property
+    def slots(self) -> tuple[Vertex, ...]:
         """Vertices where a car can be parked."""
         return self.roles["slot"]
 
     @property
-    def bays(self) -> tuple[int, ...]:
+    def bays(self) -> tuple[Vertex, ...]:
         """Vertices where a customer hands a car over and takes it back."""
         return self.roles["bay"]
 
     @property
-    def homes(self) -> tuple[int, ...]:
+    def homes(self) -> tuple[Vertex, ...]:
         """Vertices where an AGV starts and rests; the first ones are used first."""
         return self.roles["home"]
 
     @property
-    def chargers(self) -> tuple[int, ...]:
+    def chargers(self) -> tuple[Vertex, ...]:
         """Vertices with a charging station."""
         return self.roles["charger"]
 
     @cached_property
-    def index(self) -> dict[str, int]:
+    def index(self) -> dict[str, Vertex]:
         """Vertex index by name."""
-        return {name: v for v, name in enumerate(self.names)}
+        return {name: v for v, name in numbered(self.names)}
 
     @cached_property
-    def edge_index(self) -> dict[tuple[int, int], int]:
+    def ends(self) -> Numbered[EdgeIndex, tuple[Vertex, Vertex]]:
+        """(Tail, head) of each edge."""
+        return tuple((Vertex(u), Vertex(v)) for u, v in zip(self.tail.tolist(), self.head.tolist(), strict=True))
+
+    @cached_property
+    def edge_index(self) -> dict[tuple[Vertex, Vertex], EdgeIndex]:
         """Edge index by (tail, head)."""
-        return {(int(u), int(v)): e for e, (u, v) in enumerate(zip(self.tail, self.head, strict=True))}
+        return {pair: e for e, pair in numbered(self.ends)}
 
     @cached_property
-    def successors(self) -> tuple[tuple[int, ...], ...]:
+    def successors(self) -> Numbered[Vertex, tuple[Vertex, ...]]:
         """Heads of the edges that leave each vertex."""
-        return tuple(
-            tuple(int(h) for h in self.head[self.first_out[v] : self.first_out[v + 1]]) for v in range(len(self.names))
-        )
+        heads = [Vertex(v) for v in self.head.tolist()]
+        return tuple(tuple(heads[self.first_out[v] : self.first_out[v + 1]]) for v in self.vertices)
 
     @cached_property
     def heading_deg(self) -> FloatArray:
@@ -100,7 +123,7 @@ class Graph:
         d = self.xy[self.head] - self.xy[self.tail]
         return np.degrees(np.arctan2(d[:, 1], d[:, 0]))
 
-    def turn_deg(self, edge_in: int, edge_out: int) -> float:
+    def turn_deg(self, edge_in: EdgeIndex, edge_out: EdgeIndex) -> float:
         """Degrees an AGV rotates in place between two edges.
 
         An AGV drives either way, so only its axis has to turn: a reversal is 0, a right angle 90, and no turn is
@@ -109,17 +132,17 @@ class Graph:
         change = self.bend_deg(edge_in, edge_out)
         return min(change, 180.0 - change)
 
-    def bend_deg(self, edge_in: int, edge_out: int) -> float:
+    def bend_deg(self, edge_in: EdgeIndex, edge_out: EdgeIndex) -> float:
         """Change of heading between two edges in degrees: 0 straight on, 180 back."""
         change = abs(float(self.heading_deg[edge_out] - self.heading_deg[edge_in])) % 360.0
         return min(change, 360.0 - change)
 
-    def to_networkx(self) -> nx.DiGraph[int]:
+    def to_networkx(self) -> nx.DiGraph[Vertex]:
         """The same graph for model work outside the inner loops; edge attribute ``length_m``."""
-        g: nx.DiGraph[int] = nx.DiGraph(name=self.name)
-        g.add_nodes_from(range(len(self.names)))
-        for u, v, length in zip(self.tail, self.head, self.length_m, strict=True):
-            g.add_edge(int(u), int(v), length_m=float(length))
+        g: nx.DiGraph[Vertex] = nx.DiGraph(name=self.name)
+        g.add_nodes_from(self.vertices)
+        for (u, v), e in self.edge_index.items():
+            g.add_edge(u, v, length_m=float(self.length_m[e]))
         return g
 
 
@@ -143,7 +166,7 @@ def make_graph(
     Raises:
         KeyError: an edge or role names a vertex that is not in ``vertices``.
     """
-    index = {vid: i for i, (vid, _, _) in enumerate(vertices)}
+    index = {vid: Vertex(i) for i, (vid, _, _) in enumerate(vertices)}
     rows = sorted((index[u], index[v], eid, length) for eid, u, v, length in edges)
     given = roles or {}
     return Graph(

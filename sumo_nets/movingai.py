@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from sumo_nets.graph import Graph, Role, make_graph
+from sumo_nets.numbering import Vertex
 
 _FREE = ".GSebr"
 _BLOCKED = "@OTW"
@@ -42,7 +43,7 @@ def read_map(path: Path) -> Graph:
     return grid_graph(path.stem, rows)
 
 
-def read_scenario(path: Path, graph: Graph) -> list[tuple[int, int]]:
+def read_scenario(path: Path, graph: Graph) -> list[tuple[Vertex, Vertex]]:
     """Read the trips of a ``.scen`` file.
 
     Args:
@@ -61,7 +62,7 @@ def read_scenario(path: Path, graph: Graph) -> list[tuple[int, int]]:
     return [_trip(path, number, line, graph) for number, line in enumerate(lines[1:], start=2) if line.strip()]
 
 
-def _trip(path: Path, number: int, line: str, graph: Graph) -> tuple[int, int]:
+def _trip(path: Path, number: int, line: str, graph: Graph) -> tuple[Vertex, Vertex]:
     try:
         *_, x, y, goal_x, goal_y, _length = line.split()
         ends = [f"{int(x)},{int(y)}", f"{int(goal_x)},{int(goal_y)}"]

@@ -22,6 +22,7 @@ from typing import Literal
 import numpy as np
 
 from sumo_nets.graph import ROLES, FloatArray, Graph, Role, make_graph
+from sumo_nets.numbering import EdgeIndex, Numbered, Vertex, numbered
 
 _NET_SUFFIXES = (".net.xml.gz", ".net.xml")
 #: Where the first waiting car's front stands, before the end of the hold lane.
@@ -93,10 +94,10 @@ class GarageNet:
     net_file: Path
     additional_file: Path
     handover: Literal["bay", "home"]
-    bay_sites: Mapping[int, BaySite]
-    charging_station_of_edge: Mapping[int, str]
+    bay_sites: Mapping[Vertex, BaySite]
+    charging_station_of_edge: Mapping[EdgeIndex, str]
     street: Street | None
-    shapes: tuple[FloatArray, ...]
+    shapes: Numbered[EdgeIndex, FloatArray]
     street_shapes: Mapping[str, FloatArray]
     bidi: np.ndarray[tuple[int], np.dtype[np.bool_]]
 
@@ -162,7 +163,7 @@ def _read(net_file: Path, additional_file: Path, _versions: tuple[object, ...]) 
     if not graph.bays:
         raise NetError(f"{net_file}: the net has no bays: mark a junction with the parameter garage.bay")
     street, bay_sites = _bay_sites(net, extra, graph, net_file)
-    edge_of = {edge: e for e, edge in enumerate(graph.edge_names)}
+    edge_of = {edge: e for e, edge in numbered(graph.edge_names)}
     rows = [net.edges[edge] for edge in graph.edge_names]
     return GarageNet(
         graph=graph,
@@ -361,7 +362,7 @@ def _roles(net: _Net, used: set[str], source: Path) -> dict[Role, list[str]]:
     return {role: [junction for _, junction in sorted(rows)] for role, rows in ranked.items()}
 
 
-def _bay_sites(net: _Net, extra: _Extra, graph: Graph, source: Path) -> tuple[Street | None, dict[int, BaySite]]:
+def _bay_sites(net: _Net, extra: _Extra, graph: Graph, source: Path) -> tuple[Street | None, dict[Vertex, BaySite]]:
     areas = {(use.get("garage.bay", ""), use.get("garage.use", "")): area for area, use in extra.uses.items()}
     if not areas:
         stray = sorted(set(graph.bays) - set(graph.homes))

@@ -12,9 +12,10 @@ from collections import deque
 import networkx as nx
 
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import Vertex
 
 
-def blocked_ways(graph: Graph) -> list[tuple[int, int]]:
+def blocked_ways(graph: Graph) -> list[tuple[Vertex, Vertex]]:
     """Pairs of end points whose every way leads through a third one; empty if the garage is well-formed."""
     points = sorted({*graph.slots, *graph.bays, *graph.homes, *graph.chargers})
     model = graph.to_networkx()
@@ -30,7 +31,7 @@ def blocked_ways(graph: Graph) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-def _touching(start: set[int], model: nx.DiGraph[int], points: list[int]) -> set[int]:
+def _touching(start: set[Vertex], model: nx.DiGraph[Vertex], points: list[Vertex]) -> set[Vertex]:
     """End points that can be reached from any of the start's vertices through vertices that are none."""
     ends = set(points)
     seen = set(start)

@@ -18,7 +18,7 @@ for progress.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from controller.deadlock.waits import Progress, WaitGraph
@@ -30,10 +30,9 @@ from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
 from controller.search.space import Space
-from controller.types import FOREVER, Path, PlanAgent, PlanningProblem
+from controller.types import FOREVER, NO_AGV, AgvNumber, Log, Path, PlanAgent, PlanningProblem
 from controller.visits import retime
-
-Log = Callable[[str, int, str, int, dict[str, object]], None]
+from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +74,14 @@ class Deadlock:
     """
 
     number: int
-    members: tuple[int, ...]
+    members: tuple[AgvNumber, ...]
     cause: str
     since: int
     stage: str = ""
-    leader: int = -1
-    goal: int = -1
+    leader: AgvNumber = NO_AGV
+    goal: Vertex = NO_VERTEX
     arrived: bool = False
-    locked: set[int] = field(default_factory=set)
+    locked: set[AgvNumber] = field(default_factory=set)
     moved: int = 0
     granted: int = 0
     failures: int = 0
@@ -93,8 +92,8 @@ class Resolution:
     """A plan for a group, and the stage that found it."""
 
     stage: str
-    leader: int
-    paths: Mapping[int, Path]
+    leader: AgvNumber
+    paths: Mapping[AgvNumber, Path]
 
 
 class Ladder:
@@ -109,7 +108,7 @@ class Ladder:
     """
 
     def __init__(
-        self, limits: LadderLimits, executor: Executor, agvs: Sequence[Agv], progress: Progress, log: Log
+        self, limits: LadderLimits, executor: Executor, agvs: Numbered[AgvNumber, Agv], progress: Progress, log: Log
     ) -> None:
         self._limits = limits
         self._executor = executor
@@ -121,7 +120,7 @@ class Ladder:
         self._lacam = Lacam(space, limits.lacam)
         self._table = ReservationTable(len(executor.graph.names), executor.motion.following)
         self._open: list[Deadlock] = []
-        self._seen: dict[tuple[int, ...], int] = {}
+        self._seen: dict[tuple[AgvNumber, ...], int] = {}
         self._count = 0
 
     @property
@@ -130,7 +129,7 @@ class Ladder:
         return bool(self._open)
 
     @property
-    def locked(self) -> set[int]:
+    def locked(self) -> set[AgvNumber]:
         """AGVs that carry out a resolution and must not be planned for."""
         return {n for d in self._open for n in d.locked}
 
@@ -163,7 +162,7 @@ class Ladder:
 
     # --- finding --------------------------------------------------------------------------------------------------
 
-    def _candidates(self, step: int, waits: WaitGraph) -> list[tuple[tuple[int, ...], str]]:
+    def _candidates(self, step: int, waits: WaitGraph) -> list[tuple[tuple[AgvNumber, ...], str]]:
         """Groups that have stopped for long enough, with the cause."""
         patterns = [(ring, "ring") for ring in waits.rings] + [(chain, "idle") for chain in waits.blocked_by_idle]
         self._seen = {members: self._seen.get(members, step) for members, _ in patterns}
@@ -175,24 +174,24 @@ class Ladder:
                 found.append((line, "stuck"))
         return found
 
-    def _moves(self, n: int) -> bool:
+    def _moves(self, n: AgvNumber) -> bool:
         """It drives, acts or is broken, so that those behind it stand in a queue and in no deadlock."""
         return not self._executor.agvs[n].standing or self._agvs[n].immobile
 
     @staticmethod
-    def _waiting_line(first: int, waits: WaitGraph) -> tuple[int, ...]:
+    def _waiting_line(first: AgvNumber, waits: WaitGraph) -> tuple[AgvNumber, ...]:
         line = [first]
         while line[-1] in waits.edges and waits.edges[line[-1]] not in line:
             line.append(waits.edges[line[-1]])
         return tuple(line)
 
-    def _found(self, members: tuple[int, ...], cause: str, step: int, waits: WaitGraph) -> Deadlock:
+    def _found(self, members: tuple[AgvNumber, ...], cause: str, step: int, waits: WaitGraph) -> Deadlock:
         since = self._seen.get(members, step - self._limits.stuck_steps)
         deadlock = Deadlock(self._count, members, cause, since)
         self._count += 1
         wants = {n: self._executor.graph.names[waits.vertices[n]] for n in members if n in waits.vertices}
         waits_for = {n: waits.edges[n] for n in members if n in waits.edges}
-        vertex = waits.vertices.get(members[0], -1)
+        vertex = waits.vertices.get(members[0], NO_VERTEX)
         names, ex = self._executor.graph.names, self._executor
         detail: dict[str, object] = {
             "deadlock": deadlock.number,
@@ -244,11 +243,11 @@ class Ladder:
             "stage": deadlock.stage,
             "cost_s": (step - deadlock.since) * self._executor.motion.step_s,
         }
-        self._log("deadlock_resolved", deadlock.leader, "", -1, detail)
+        self._log("deadlock_resolved", deadlock.leader, "", NO_VERTEX, detail)
 
     def _failed(self, deadlock: Deadlock, stage: str, reason: str) -> None:
         detail = {"deadlock": deadlock.number, "stage": stage, "reason": reason}
-        self._log("stage_failed", deadlock.members[0], "", -1, detail)
+        self._log("stage_failed", deadlock.members[0], "", NO_VERTEX, detail)
 
     # --- resolving ------------------------------------------------------------------------------------------------
 
@@ -272,7 +271,7 @@ class Ladder:
                 return
             group += joining
 
-    def _outside(self, group: Iterable[int], step: int, problem: PlanningProblem) -> list[Path]:
+    def _outside(self, group: Iterable[AgvNumber], step: int, problem: PlanningProblem) -> list[Path]:
         """Paths of everybody outside the group, as the accepted orders have them."""
         timed = retime(self._executor, step)
         inside = set(group)
@@ -281,8 +280,8 @@ class Ladder:
 
     def _stages(
         self, deadlock: Deadlock, group: list[PlanAgent], problem: PlanningProblem
-    ) -> tuple[Resolution | None, set[int]]:
-        blockers: set[int] = set()
+    ) -> tuple[Resolution | None, set[AgvNumber]]:
+        blockers: set[AgvNumber] = set()
         by_priority = sorted(group, key=lambda a: (-a.priority, a.agv))
         movers = [a for a in by_priority if a.goal != a.vertex]
         shift = deadlock.failures % len(movers) if movers else 0
@@ -312,8 +311,8 @@ class Ladder:
         return Resolution("lacam", leader.agv, result.paths)
 
     def _leader(
-        self, leader: PlanAgent, group: list[PlanAgent], problem: PlanningProblem, blockers: set[int]
-    ) -> dict[int, Path] | None:
+        self, leader: PlanAgent, group: list[PlanAgent], problem: PlanningProblem, blockers: set[AgvNumber]
+    ) -> dict[AgvNumber, Path] | None:
         """The leader goes on, the others keep their places."""
         self._table.reset(problem.fixed)
         for agent in group:
@@ -326,8 +325,8 @@ class Ladder:
         return {leader.agv: path, **{a.agv: Path(a.agv, (a.vertex,), (0,), ()) for a in group if a is not leader}}
 
     def _pull_over(
-        self, leader: PlanAgent, group: list[PlanAgent], problem: PlanningProblem, blockers: set[int]
-    ) -> dict[int, Path] | None:
+        self, leader: PlanAgent, group: list[PlanAgent], problem: PlanningProblem, blockers: set[AgvNumber]
+    ) -> dict[AgvNumber, Path] | None:
         """The leader goes on, the others clear its way: to their goals if they can, else out of the way."""
         order = [leader] + [a for a in group if a is not leader]
         for _ in range(2 * len(group)):
@@ -343,15 +342,15 @@ class Ladder:
 
     def _plan_in_order(
         self, order: list[PlanAgent], problem: PlanningProblem
-    ) -> tuple[dict[int, Path], PlanAgent | None]:
+    ) -> tuple[dict[AgvNumber, Path], PlanAgent | None]:
         self._table.reset(problem.fixed)
         motion, graph = problem.motion, problem.graph
         for a in order:
-            out = range(int(graph.first_out[a.vertex]), int(graph.first_out[a.vertex + 1]))
+            out = graph.out_edges(a.vertex)
             least = min((motion.turn(graph, a.in_edge, e, a.loaded) + int(motion.edge_steps[int(a.loaded), e])
                          for e in out), default=1)  # fmt: skip
             self._table.hold(a.vertex, 0, a.ready_step + least, a.agv)
-        paths: dict[int, Path] = {}
+        paths: dict[AgvNumber, Path] = {}
         for a in order:
             self._table.remove(a.agv)
             path = self._search.find_path(problem, a, self._table)

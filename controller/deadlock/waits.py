@@ -11,7 +11,7 @@ the garage, and all are found here:
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 
 import networkx as nx
@@ -19,6 +19,8 @@ import networkx as nx
 from controller.costs import Costs
 from controller.executor import Executor
 from controller.fleet import Agv
+from controller.types import NO_AGV, AgvNumber
+from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,26 +34,26 @@ class WaitGraph:
         blocked_by_idle: chains (first the AGV without anything to do) that end at an AGV which will not move.
     """
 
-    edges: Mapping[int, int]
-    vertices: Mapping[int, int]
-    rings: tuple[tuple[int, ...], ...]
-    blocked_by_idle: tuple[tuple[int, ...], ...]
+    edges: Mapping[AgvNumber, AgvNumber]
+    vertices: Mapping[AgvNumber, Vertex]
+    rings: tuple[tuple[AgvNumber, ...], ...]
+    blocked_by_idle: tuple[tuple[AgvNumber, ...], ...]
 
 
-def wanted_vertex(executor: Executor, agv: Agv, costs: Costs) -> int:
+def wanted_vertex(executor: Executor, agv: Agv, costs: Costs) -> Vertex:
     """The next vertex of an AGV's way: as planned, or else on the shortest way to its goal; -1 if it wants none."""
     a = executor.agvs[agv.number]
     if a.pending:
         return a.pending[0]
     if agv.goal == a.last:
-        return -1
+        return NO_VERTEX
     to = costs.to(agv.goal)
     graph, steps = executor.graph, executor.motion.edge_steps[0]
     options = [(int(steps[graph.edge_index[a.last, v]] + to[v]), v) for v in graph.successors[a.last]]
-    return min(options)[1] if options else -1
+    return min(options)[1] if options else NO_VERTEX
 
 
-def wait_graph(executor: Executor, agvs: Sequence[Agv], costs: Costs) -> WaitGraph:
+def wait_graph(executor: Executor, agvs: Numbered[AgvNumber, Agv], costs: Costs) -> WaitGraph:
     """The wait-for graph now.
 
     Args:
@@ -62,8 +64,8 @@ def wait_graph(executor: Executor, agvs: Sequence[Agv], costs: Costs) -> WaitGra
     Returns:
         Each AGV waits for at most one other, as it wants one vertex at a time.
     """
-    edges: dict[int, int] = {}
-    vertices: dict[int, int] = {}
+    edges: dict[AgvNumber, AgvNumber] = {}
+    vertices: dict[AgvNumber, Vertex] = {}
     for agv in agvs:
         a = executor.agvs[agv.number]
         if not a.standing or a.acting_until >= 0 or agv.action is not None:
@@ -74,23 +76,25 @@ def wait_graph(executor: Executor, agvs: Sequence[Agv], costs: Costs) -> WaitGra
         other = executor.owner[w]
         if other in (-1, agv.number):
             queue = executor.order.get(w)
-            other = queue[0] if queue and agv.number in queue else -1
+            other = queue[0] if queue and agv.number in queue else NO_AGV
         if other not in (-1, agv.number):
             edges[agv.number] = other
             vertices[agv.number] = w
     return WaitGraph(edges, vertices, rings(edges), _behind_idle(edges, executor, agvs))
 
 
-def rings(edges: Mapping[int, int]) -> tuple[tuple[int, ...], ...]:
+def rings(edges: Mapping[AgvNumber, AgvNumber]) -> tuple[tuple[AgvNumber, ...], ...]:
     """Strongly connected components of two or more agents in a wait-for graph."""
     if len(edges) < 2:
         return ()
-    g: nx.DiGraph[int] = nx.DiGraph(edges.items())
+    g: nx.DiGraph[AgvNumber] = nx.DiGraph(edges.items())
     return tuple(sorted(tuple(sorted(c)) for c in nx.strongly_connected_components(g) if len(c) > 1))
 
 
-def _behind_idle(edges: Mapping[int, int], executor: Executor, agvs: Sequence[Agv]) -> tuple[tuple[int, ...], ...]:
-    chains: dict[int, list[int]] = {}
+def _behind_idle(
+    edges: Mapping[AgvNumber, AgvNumber], executor: Executor, agvs: Numbered[AgvNumber, Agv]
+) -> tuple[tuple[AgvNumber, ...], ...]:
+    chains: dict[AgvNumber, list[AgvNumber]] = {}
     for first in edges:
         seen, end = {first}, first
         while end in edges and edges[end] not in seen:
@@ -105,7 +109,7 @@ def _behind_idle(edges: Mapping[int, int], executor: Executor, agvs: Sequence[Ag
 
 @dataclass(slots=True)
 class _Best:
-    goal: int
+    goal: Vertex
     cost: int
     since: int
 
@@ -122,14 +126,14 @@ class Progress:
         complete: plans are complete: who has one to its goal is on its way, however long the way or a queue is.
     """
 
-    def __init__(self, executor: Executor, agvs: Sequence[Agv], costs: Costs, complete: bool) -> None:
+    def __init__(self, executor: Executor, agvs: Numbered[AgvNumber, Agv], costs: Costs, complete: bool) -> None:
         self._executor = executor
         self._agvs = agvs
         self._costs = costs
         self._complete = complete
         self._best = {agv.number: _Best(agv.goal, 0, 0) for agv in agvs}
 
-    def update(self, step: int, cut_off: Container[int] = ()) -> None:
+    def update(self, step: int, cut_off: Container[AgvNumber] = ()) -> None:
         """Take note of where the AGVs are; those ``cut_off`` by a fault wait for its end, which is no deadlock."""
         for agv in self._agvs:
             best, a = self._best[agv.number], self._executor.agvs[agv.number]
@@ -140,6 +144,6 @@ class Progress:
             if acting or planned or faulty or agv.goal != best.goal or cost < best.cost:
                 best.goal, best.cost, best.since = agv.goal, cost, step
 
-    def stuck(self, step: int, steps: int) -> list[int]:
+    def stuck(self, step: int, steps: int) -> list[AgvNumber]:
         """AGVs that came no nearer to their goal in so many steps."""
         return [n for n, best in self._best.items() if step - best.since >= steps]

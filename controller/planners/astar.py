@@ -18,6 +18,7 @@ from controller.search.heap import Counts, Heap, clear, make_heap, put, take
 from controller.search.space import EXPANDED, VALID, Lanes, Space
 from controller.types import FOREVER, Motion, PlanAgent
 from sumo_nets.graph import Graph, IntArray
+from sumo_nets.numbering import EdgeIndex, Vertex
 
 
 class AStar:
@@ -35,7 +36,7 @@ class AStar:
         self._g: IntArray = np.full(n, FOREVER, dtype=np.int32)
         self._heap = make_heap(n)
 
-    def next_edge(self, agent: PlanAgent, blocked: NDArray[np.uint8], obstacles: Iterable[int]) -> int:
+    def next_edge(self, agent: PlanAgent, blocked: NDArray[np.uint8], obstacles: Iterable[Vertex]) -> EdgeIndex:
         """See ``MoveSearch.next_edge``."""
         closed = blocked.copy()
         closed[agent.goal] = 0
@@ -43,7 +44,8 @@ class AStar:
         lanes, loaded = self._space.lanes, int(agent.loaded)
         steps, rate = lanes.edge_steps[loaded], float(self._space.rates[loaded, 0])
         _search(agent.vertex, agent.goal, closed, steps, rate, lanes, self._g, self._heap, self.counters)
-        return int(best_edge(agent.vertex, agent.in_edge, agent.goal, self._g, closed, steps, self._ranked, lanes))
+        edge = best_edge(agent.vertex, agent.in_edge, agent.goal, self._g, closed, steps, self._ranked, lanes)
+        return EdgeIndex(int(edge))
 
 
 @kernel

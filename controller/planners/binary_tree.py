@@ -19,8 +19,20 @@ from typing import NamedTuple
 from controller.planners.whca import Round
 from controller.routing.binary_tree import BinaryTree, compile_tree, find_route
 from controller.search.reservations import ReservationTable
-from controller.types import FOREVER, NEVER, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult
+from controller.types import (
+    FOREVER,
+    NEVER,
+    NO_AGV,
+    AgvNumber,
+    Counters,
+    Motion,
+    Path,
+    PlanAgent,
+    PlanningProblem,
+    PlanResult,
+)
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import Vertex
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +71,14 @@ class RouteSearch:
     """
 
     def __init__(self, tree: BinaryTree) -> None:
-        self.blocker = -1
+        self.blocker = NO_AGV
         self.counters = Counters()
         self._tree = tree
-        self._routes: dict[int, tuple[int, ...]] = {}
+        self._routes: dict[AgvNumber, tuple[Vertex, ...]] = {}
 
     def find_path(self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable) -> Path | None:
         """The agent's quickest path along its route, as far as it gets inside the window."""
-        self.blocker = -1
+        self.blocker = NO_AGV
         route = self._route(problem, agent)
         if route is None:
             return None
@@ -80,7 +92,7 @@ class RouteSearch:
         self.blocker = _blocker(table, route, layers)
         return None
 
-    def _route(self, problem: PlanningProblem, agent: PlanAgent) -> tuple[int, ...] | None:
+    def _route(self, problem: PlanningProblem, agent: PlanAgent) -> tuple[Vertex, ...] | None:
         """What is left of the agent's route; a new one for a new goal, after a detour, or around a fault."""
         route = self._routes.get(agent.agv, ())
         if agent.vertex in route and route[-1] == agent.goal:
@@ -95,7 +107,7 @@ class RouteSearch:
         return found.vertices
 
     def _layers(
-        self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable, route: Sequence[int]
+        self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable, route: Sequence[Vertex]
     ) -> list[list[_Stop]]:
         """The stops that can be reached at each vertex of the route, as far as there are any."""
         begin, last = next(_gaps(table, route[0], problem.window_steps))
@@ -161,7 +173,7 @@ def make_binary_tree(graph: Graph, motion: Motion, options: BinaryTreeOptions | 
     return BinaryTreePlanner(compile_tree(graph), motion, options or BinaryTreeOptions())
 
 
-def _gaps(table: ReservationTable, vertex: int, window: int) -> Iterator[tuple[int, int]]:
+def _gaps(table: ReservationTable, vertex: Vertex, window: int) -> Iterator[tuple[int, int]]:
     """Begin and end of the times at which a vertex is free; what is reserved beyond the window doesn't count."""
     begin = 0
     for start, end, _ in table.intervals(vertex):
@@ -189,7 +201,7 @@ def _entries(
 
 
 def _path(
-    problem: PlanningProblem, agent: PlanAgent, route: tuple[int, ...], layers: list[list[_Stop]], last: int
+    problem: PlanningProblem, agent: PlanAgent, route: tuple[Vertex, ...], layers: list[list[_Stop]], last: int
 ) -> Path:
     stops = []
     for layer in reversed(layers[: len(route)]):
@@ -203,10 +215,10 @@ def _path(
     return Path(agent.agv, route, arrive, tuple(stop.depart for stop in stops[1:]), until)
 
 
-def _blocker(table: ReservationTable, route: Sequence[int], layers: Sequence[Sequence[_Stop]]) -> int:
+def _blocker(table: ReservationTable, route: Sequence[Vertex], layers: Sequence[Sequence[_Stop]]) -> AgvNumber:
     """Who ends the last stop's safe interval, or else stands on the vertex behind it."""
     i = len(layers) - 1
     last = max((stop.last for stop in layers[i]), default=0)
     if last < FOREVER:
         return table.owner(route[i], last)
-    return table.owner(route[i + 1], FOREVER - 1) if i + 1 < len(route) else -1
+    return table.owner(route[i + 1], FOREVER - 1) if i + 1 < len(route) else NO_AGV

@@ -31,6 +31,7 @@ from controller.search.sipp import PathSearch
 from controller.search.space import Space
 from controller.types import (
     FOREVER,
+    AgvNumber,
     Conflict,
     Counters,
     Motion,
@@ -41,6 +42,7 @@ from controller.types import (
     Status,
 )
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import NO_EDGE, EdgeIndex, Vertex
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,17 +72,17 @@ class Constraint:
     -1, arrive by this edge at step ``start``.
     """
 
-    agv: int
-    vertex: int
+    agv: AgvNumber
+    vertex: Vertex
     start: int
     end: int
-    edge: int = -1
+    edge: EdgeIndex = NO_EDGE
 
 
 @dataclass(frozen=True, slots=True)
 class _Node:
     constraints: tuple[Constraint, ...]
-    paths: dict[int, Path]
+    paths: dict[AgvNumber, Path]
     conflicts: list[Conflict]
 
     @property
@@ -119,7 +121,7 @@ class Cbs:
         work = Counters(*(self.distances.counters - before).tolist())
         return PlanResult(status, paths, {}, work)
 
-    def _run(self, problem: PlanningProblem) -> tuple[Status, dict[int, Path]]:
+    def _run(self, problem: PlanningProblem) -> tuple[Status, dict[AgvNumber, Path]]:
         agents = {agent.agv: agent for agent in problem.agents}
         root = _Node((), {}, [])
         for agent in problem.agents:
@@ -162,7 +164,7 @@ class Cbs:
         self, problem: PlanningProblem, agent: PlanAgent, constraints: tuple[Constraint, ...]
     ) -> Path | None:
         """The agent's quickest path under its constraints, which are reservations while the search lasts."""
-        nobody = -2
+        nobody = AgvNumber(-2)
         own = [c for c in constraints if c.agv == agent.agv]
         for c in own:
             if c.edge < 0:

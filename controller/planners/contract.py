@@ -14,17 +14,9 @@ import numpy as np
 
 from controller.conflicts import validate
 from controller.planners.table import PlannerError
-from controller.types import (
-    FOREVER,
-    Motion,
-    Path,
-    PlanAgent,
-    Planner,
-    PlanningProblem,
-    Status,
-    make_motion,
-)
+from controller.types import FOREVER, AgvNumber, Motion, Path, PlanAgent, Planner, PlanningProblem, Status, make_motion
 from sumo_nets.graph import Graph, make_graph
+from sumo_nets.numbering import NO_EDGE, Vertex
 
 #: Makes a planner for a garage.
 Maker = Callable[[Graph, Motion], Planner]
@@ -95,8 +87,8 @@ def random_problem(number: int, window: int | None = None) -> PlanningProblem:
     graph = _garage(rng)
     n = len(graph.names)
     motion = _motion(graph, rng)
-    starts, goals = (rng.sample(range(n), min(n - 1, 1 + number % 6)) for _ in range(2))
-    agents = tuple(_agent(rng, graph, agv, pair) for agv, pair in enumerate(zip(starts, goals, strict=True)))
+    starts, goals = (rng.sample(graph.vertices, min(n - 1, 1 + number % 6)) for _ in range(2))
+    agents = tuple(_agent(rng, graph, AgvNumber(agv), pair) for agv, pair in enumerate(zip(starts, goals, strict=True)))
     blocked, no_rest = (np.array([rng.random() < 0.1 for _ in range(n)], dtype=np.uint8) for _ in range(2))
     steps = rng.choice((3, 8, 30)) if window is None else window
     return PlanningProblem(graph, motion, agents, (), blocked, no_rest, steps, number)
@@ -132,10 +124,9 @@ def _motion(graph: Graph, rng: random.Random) -> Motion:
     )  # fmt: skip
 
 
-def _agent(rng: random.Random, graph: Graph, agv: int, start_goal: tuple[int, int]) -> PlanAgent:
+def _agent(rng: random.Random, graph: Graph, agv: AgvNumber, start_goal: tuple[Vertex, Vertex]) -> PlanAgent:
     start, goal = start_goal
-    into = np.flatnonzero(graph.head == start).tolist()
     return PlanAgent(
-        agv, start, rng.choice([-1, *into]), rng.randint(0, 2), goal, rng.random() < 0.5,
+        agv, start, rng.choice([NO_EDGE, *graph.in_edges(start)]), rng.randint(0, 2), goal, rng.random() < 0.5,
         dwell_steps=rng.randint(0, 3), priority=rng.randint(0, 2),
     )  # fmt: skip

@@ -20,8 +20,9 @@ from controller.kernel import kernel
 from controller.planners.one_step import OneStep, best_edge, estimate, ranked_edges
 from controller.search.heap import Counts, Heap, clear, make_heap, put, take
 from controller.search.space import EXPANDED, VALID, Lanes, Space
-from controller.types import FOREVER, Motion, PlanAgent
+from controller.types import FOREVER, AgvNumber, Motion, PlanAgent
 from sumo_nets.graph import Graph, IntArray
+from sumo_nets.numbering import EdgeIndex, Vertex
 
 #: Places of ``Memory.meta``.
 GOAL, LOADED, LAST, KM = 0, 1, 2, 3
@@ -56,14 +57,16 @@ class DStarLite:
         self.counters: Counts = np.zeros(4, dtype=np.int64)
         self._space = space
         self._ranked = ranked_edges(space)
-        self._memory: dict[int, Memory] = {}
+        self._memory: dict[AgvNumber, Memory] = {}
 
-    def next_edge(self, agent: PlanAgent, blocked: NDArray[np.uint8], obstacles: Iterable[int]) -> int:
+    def next_edge(self, agent: PlanAgent, blocked: NDArray[np.uint8], obstacles: Iterable[Vertex]) -> EdgeIndex:
         """See ``MoveSearch.next_edge``."""
         announced = np.array(list(obstacles), dtype=np.int32)
         return self.announced_edge(agent, blocked, announced)[0]
 
-    def announced_edge(self, agent: PlanAgent, blocked: NDArray[np.uint8], announced: IntArray) -> tuple[int, int]:
+    def announced_edge(
+        self, agent: PlanAgent, blocked: NDArray[np.uint8], announced: IntArray
+    ) -> tuple[EdgeIndex, int]:
         """Announce, repair, step, take back.
 
         Args:
@@ -87,7 +90,7 @@ class DStarLite:
         cost = int(memory.rhs[agent.vertex])
         edge = best_edge(agent.vertex, agent.in_edge, agent.goal, memory.g, memory.closed, steps, self._ranked, lanes)
         _change(agent.vertex, base, steps, rate, lanes, memory, self.counters)
-        return int(edge), cost
+        return EdgeIndex(int(edge)), cost
 
 
 def _new_memory(n: int) -> Memory:

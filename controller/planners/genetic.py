@@ -43,7 +43,7 @@ from controller.planners.whca import make_whca
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
-from controller.types import FOREVER, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from controller.types import FOREVER, NO_AGV, AgvNumber, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
 from sumo_nets.graph import Graph, IntArray
 
 #: Largest stop gene, and the probability that a stop gene of the first generation is 1.
@@ -51,7 +51,7 @@ MOST = 9
 FIRST = 0.1
 
 #: Owner of places closed while a way around them is looked for.
-_NOBODY = -2
+_NOBODY = AgvNumber(-2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ class GeneticPlanner:
         paths = _repair(problem, species.paths(best.order[:, 0], best.stops))
         if fleet.score(paths) >= fleet.score(default.paths):
             return default
-        failed = {a.agv: default.failed.get(a.agv, -1) for a in problem.agents if a.agv not in paths}
+        failed = {a.agv: default.failed.get(a.agv, NO_AGV) for a in problem.agents if a.agv not in paths}
         return PlanResult(Status.PARTIAL if failed else Status.SOLVED, paths, failed, default.counters)
 
     def _candidates(self, problem: PlanningProblem, agent: PlanAgent, default: PlanResult) -> list[Path]:
@@ -156,7 +156,7 @@ class _Fleet:
         edge = self.problem.graph.edge_index[v[-2], v[-1]] if len(v) > 1 else agent.in_edge
         return self.distances.distance(v[-1], edge, agent.goal, agent.loaded)
 
-    def score(self, paths: Mapping[int, Path]) -> tuple[int, int]:
+    def score(self, paths: Mapping[AgvNumber, Path]) -> tuple[int, int]:
         """Agents without a path, and steps of delay of the others; less is better."""
         late = [
             self.arrival(agent, paths[agent.agv]) - free
@@ -239,7 +239,7 @@ class _Species:
         """In each agent of each chosen chromosome draw a route and change one stop by one."""
         _mutate(population.order, population.stops, chosen, self._choices, rng)
 
-    def paths(self, order: Genes, stops: Genes) -> dict[int, Path]:
+    def paths(self, order: Genes, stops: Genes) -> dict[AgvNumber, Path]:
         """A chromosome's paths, as far as the window and with complete windows only those that reach the goal."""
         problem = self.fleet.problem
         paths = {}
@@ -269,7 +269,7 @@ def _timed(problem: PlanningProblem, agent: PlanAgent, route: Path, stops: Genes
     return Path(agent.agv, route.vertices[: len(arrive)], tuple(arrive), tuple(depart), max(until, arrive[-1]))
 
 
-def _repair(problem: PlanningProblem, paths: dict[int, Path]) -> dict[int, Path]:
+def _repair(problem: PlanningProblem, paths: dict[AgvNumber, Path]) -> dict[AgvNumber, Path]:
     """Let those that collide hold their places, the ones in most collisions first, until nobody does."""
     paths = dict(paths)
     starts = {agent.agv: agent.vertex for agent in problem.agents}

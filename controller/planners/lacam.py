@@ -31,8 +31,21 @@ from numpy.typing import NDArray
 from controller.kernel import kernel
 from controller.planners.pibt import NOBODY, Moves, closes_ring, dead_ends, insert, no_moves, obstacles, one_move
 from controller.search.space import Lanes, Space
-from controller.types import FOREVER, NEVER, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from controller.types import (
+    FOREVER,
+    NEVER,
+    NO_AGV,
+    AgvNumber,
+    Counters,
+    Motion,
+    Path,
+    PlanAgent,
+    PlanningProblem,
+    PlanResult,
+    Status,
+)
 from sumo_nets.graph import Graph, IntArray
+from sumo_nets.numbering import Vertex
 
 #: Added for each vertex of distance when places are ranked; below it ties are broken.
 _UNIT = 16
@@ -127,7 +140,7 @@ class Lacam:
         paths = timed_paths(problem, search.agents, search.configurations(), search.free_at)
         if any(path.arrive[-1] >= NEVER for path in paths.values()):
             return PlanResult(Status.INFEASIBLE, {}, {}, counters)
-        elsewhere = dict.fromkeys(search.elsewhere, NOBODY)
+        elsewhere = dict.fromkeys(search.elsewhere, NO_AGV)
         return PlanResult(Status.PARTIAL if elsewhere else Status.SOLVED, paths, elsewhere, counters)
 
 
@@ -148,14 +161,14 @@ class _Search:
         self.goal: _Node | None = None
         self.seed = problem.seed
         self._successors = problem.graph.successors
-        self._places_known: dict[tuple[int, int], list[int]] = {}
+        self._places_known: dict[tuple[int, Vertex], list[Vertex]] = {}
         self._goals, self.elsewhere, self.distance = self._aims()
         starts = np.array([agent.vertex for agent in self.agents], dtype=np.int32)
         self._moves = no_moves(starts, self._goals, outward, self.lanes)
         self.start = self._node(starts.copy(), None)
         self._nearest = self.start
 
-    def _aims(self) -> tuple[IntArray, list[int], IntArray]:
+    def _aims(self) -> tuple[IntArray, list[AgvNumber], IntArray]:
         """Goals, AGVs that may end anywhere, and moves from each vertex to each agent's goal (all 0 for those)."""
         goals = np.array([agent.goal for agent in self.agents], dtype=np.int32)
         distance = np.zeros((len(self.agents), len(self.closed)), dtype=np.int32)
@@ -218,7 +231,7 @@ class _Search:
         """The next configuration under a constraint, whose own children are put on the tree; None if impossible."""
         if C.depth < len(self.agents):
             i = int(N.order[C.depth])
-            N.tree.extend(_Constraint(C, i, v, C.depth + 1) for v in self._places(i, int(N.Q[i])))
+            N.tree.extend(_Constraint(C, i, v, C.depth + 1) for v in self._places(i, Vertex(int(N.Q[i]))))
         self.proposals += 1
         told = []
         while C.parent is not None:
@@ -229,7 +242,7 @@ class _Search:
         possible = _settle(N.Q, N.order, pairs, moves, self.distance, self.closed, self.lanes, salt)
         return moves.next.copy() if possible else None
 
-    def _places(self, i: int, here: int) -> list[int]:
+    def _places(self, i: int, here: Vertex) -> list[Vertex]:
         """Where an agent may be after a move from a vertex."""
         places = self._places_known.get((i, here))
         if places is None:
@@ -362,8 +375,8 @@ def timed_paths(
     problem: PlanningProblem,
     agents: Sequence[PlanAgent],
     configurations: Sequence[IntArray],
-    free_at: Mapping[int, int],
-) -> dict[int, Path]:
+    free_at: Mapping[Vertex, int],
+) -> dict[AgvNumber, Path]:
     """Earliest times for everybody's way that keep the order of visits at each vertex.
 
     Args:
@@ -379,10 +392,10 @@ def timed_paths(
     free = dict(free_at)
     clock = [agent.ready_step for agent in agents]
     edges = [agent.in_edge for agent in agents]
-    rows: list[tuple[list[int], list[int], list[int]]] = [([agent.vertex], [0], []) for agent in agents]
+    rows: list[tuple[list[Vertex], list[int], list[int]]] = [([agent.vertex], [0], []) for agent in agents]
     for before, after in pairwise(configurations):
         for i in _who_leaves_first(before, after):
-            u, w = int(before[i]), int(after[i])
+            u, w = Vertex(int(before[i])), Vertex(int(after[i]))
             agent, (vertices, arrive, depart) = agents[i], rows[i]
             edge = graph.edge_index[u, w]
             has_turned = len(vertices) == 1 and agent.turned_to == w

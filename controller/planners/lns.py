@@ -32,7 +32,7 @@ from controller.search.reservations import (
 )
 from controller.search.sipp import PathSearch
 from controller.search.space import Lanes, by_air
-from controller.types import FOREVER, PlanAgent, PlanningProblem
+from controller.types import FOREVER, AgvNumber, PlanAgent, PlanningProblem
 from sumo_nets.graph import FloatArray, IntArray
 
 #: At most so many others are planned again with an agent.
@@ -64,20 +64,20 @@ class Improvement:
     def __init__(
         self,
         problem: PlanningProblem,
-        agents: Mapping[int, PlanAgent],
+        agents: Mapping[AgvNumber, PlanAgent],
         table: ReservationTable,
         search: PathSearch,
-        looked: dict[int, int],
+        looked: dict[AgvNumber, int],
     ) -> None:
         self.problem = problem
         self.agents = agents
         self.table = table
         self.search = search
         self.looked = looked
-        self.changed: set[int] = set()
+        self.changed: set[AgvNumber] = set()
         self.tried, self.taken = 0, 0
         self._lanes = search.distances.space.lanes
-        self._arrival: dict[int, int] = {}
+        self._arrival: dict[AgvNumber, int] = {}
 
     def run(self, tries: int, threshold: int) -> None:
         """Try so many neighbourhoods of agents that are late by more than ``threshold`` steps."""
@@ -98,16 +98,16 @@ class Improvement:
                 lateness.update(self._lateness(order, threshold))
                 late = self._late(lateness, threshold)
 
-    def _late(self, lateness: Mapping[int, int], threshold: int) -> list[int]:
+    def _late(self, lateness: Mapping[AgvNumber, int], threshold: int) -> list[AgvNumber]:
         """AGVs that are too late, those looked at least first, then the latest."""
         late = [agv for agv, steps in lateness.items() if steps > threshold]
         return sorted(late, key=lambda agv: (self.looked.get(agv, 0), -lateness[agv], agv))
 
-    def _lateness(self, agvs: Sequence[int], threshold: int) -> dict[int, int]:
+    def _lateness(self, agvs: Sequence[AgvNumber], threshold: int) -> dict[AgvNumber, int]:
         """For how many steps each of these AGVs waits on its way, all in all."""
         return {agv: waited for agv, (waited, _, _) in zip(agvs, self._paths_of(agvs), strict=True)}
 
-    def _paths_of(self, agvs: Sequence[int]) -> list[list[int]]:
+    def _paths_of(self, agvs: Sequence[AgvNumber]) -> list[list[int]]:
         """What is found out about the paths of these AGVs, see ``WAITED``."""
         found = np.empty((len(agvs), 3), dtype=np.int32)
         rates = self.search.distances.space.rates
@@ -115,7 +115,7 @@ class Improvement:
         rows: list[list[int]] = found.tolist()
         return rows
 
-    def _told_of(self, agvs: Sequence[int]) -> IntArray:
+    def _told_of(self, agvs: Sequence[AgvNumber]) -> IntArray:
         """What kernels have to know of these AGVs, a row each."""
         numbers: list[int] = []
         for agv in agvs:
@@ -124,17 +124,17 @@ class Improvement:
         packed = bytearray(struct.pack(f"{len(numbers)}i", *numbers))
         return np.frombuffer(packed, dtype=np.int32).reshape(-1, 4)
 
-    def _in_the_way(self, agv: int, threshold: int) -> list[int]:
+    def _in_the_way(self, agv: AgvNumber, threshold: int) -> list[AgvNumber]:
         """Those whom the agent waits for, in the order of meeting."""
         met = np.empty(MOST_MET, dtype=np.int32)
         return self._neighbours(agv, met, 0)
 
-    def _neighbours(self, agv: int, met: IntArray, k: int) -> list[int]:
+    def _neighbours(self, agv: AgvNumber, met: IntArray, k: int) -> list[AgvNumber]:
         """Those of the first ``k`` of ``met`` and those whom the agent waits for that may be planned again with it."""
         k = _meet_waiting(self._told_of([agv]), self.table.reserved, self._lanes, met, k)
         return [other for other in met[:k].tolist() if other != agv and other in self.agents][:NEIGHBOURS]
 
-    def _again(self, order: list[int]) -> bool:
+    def _again(self, order: list[AgvNumber]) -> bool:
         """Plan again in this order; whether that is better."""
         old = self.table.take(order)
         least = [self._alone(self.agents[agv]) for agv in order]
@@ -160,7 +160,7 @@ class Improvement:
 class Detours(Improvement):
     """An improvement for which late is who arrives later than it would if it were alone."""
 
-    def _lateness(self, agvs: Sequence[int], threshold: int) -> dict[int, int]:
+    def _lateness(self, agvs: Sequence[AgvNumber], threshold: int) -> dict[AgvNumber, int]:
         """How many steps later each of these AGVs arrives than if it were alone, as far as is known unsearched.
 
         Of those who go nearly straight all the way no more is asked: they are not late.
@@ -171,7 +171,7 @@ class Detours(Improvement):
             lateness[agv] = arrival - self._alone(self.agents[agv]) if longer > threshold else longer
         return lateness
 
-    def _in_the_way(self, agv: int, threshold: int) -> list[int]:
+    def _in_the_way(self, agv: AgvNumber, threshold: int) -> list[AgvNumber]:
         """Those whom the agent would meet if it went as if it were alone, and those it waits for as it goes.
 
         Nobody if it turns out that even alone it would hardly be earlier.

@@ -23,11 +23,12 @@ from numpy.typing import NDArray
 from controller.kernel import kernel
 from controller.search.heap import Counts
 from controller.search.space import Lanes, Space
-from controller.types import FOREVER, NEVER, Counters, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from controller.types import FOREVER, NEVER, AgvNumber, Counters, Path, PlanAgent, PlanningProblem, PlanResult, Status
 from sumo_nets.graph import FloatArray, IntArray
+from sumo_nets.numbering import NO_EDGE, EdgeIndex, Vertex
 
 #: Instead of an edge: no move.
-STAY = -1
+STAY = NO_EDGE
 
 
 class MoveSearch(Protocol):
@@ -39,7 +40,7 @@ class MoveSearch(Protocol):
 
     counters: Counts
 
-    def next_edge(self, agent: PlanAgent, blocked: NDArray[np.uint8], obstacles: Iterable[int]) -> int:
+    def next_edge(self, agent: PlanAgent, blocked: NDArray[np.uint8], obstacles: Iterable[Vertex]) -> EdgeIndex:
         """First edge of a shortest path to the agent's goal, or ``STAY`` when there is none.
 
         Args:
@@ -73,7 +74,7 @@ class OneStep:
         current = {agent.agv: agent.vertex for agent in problem.agents}
         next_ = dict(current)
         following = problem.motion.following
-        paths: dict[int, Path] = {}
+        paths: dict[AgvNumber, Path] = {}
         for agent in sorted(problem.agents, key=lambda a: (-a.priority, a.agv)):
             taken = [v for agv, v in next_.items() if agv != agent.agv]
             if not following:
@@ -95,14 +96,14 @@ class OneStep:
         return blocked
 
 
-def _path(problem: PlanningProblem, agent: PlanAgent, edge: int) -> Path:
+def _path(problem: PlanningProblem, agent: PlanAgent, edge: EdgeIndex) -> Path:
     """One move, or none, and no claim to its end: others may plan to go there later."""
     graph, motion = problem.graph, problem.motion
-    vertices: tuple[int, ...] = (agent.vertex,)
+    vertices: tuple[Vertex, ...] = (agent.vertex,)
     arrive: tuple[int, ...] = (0,)
     depart: tuple[int, ...] = ()
     if edge != STAY:
-        head = int(graph.head[edge])
+        head = graph.ends[edge][1]
         turn = 0 if agent.turned_to == head else motion.turn(graph, agent.in_edge, edge, agent.loaded)
         leave = agent.ready_step + turn
         vertices, depart = (agent.vertex, head), (leave,)

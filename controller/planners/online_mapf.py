@@ -24,8 +24,9 @@ from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
 from controller.search.space import Space
-from controller.types import Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from controller.types import NO_AGV, AgvNumber, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import NO_VERTEX, Vertex, numbered
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +69,7 @@ class OnlineMapf:
         """
         self.distances.counters[:] = 0
         self._search.begin(problem)
-        best: tuple[dict[int, Path], dict[int, int]] | None = None
+        best: tuple[dict[AgvNumber, Path], dict[AgvNumber, AgvNumber]] | None = None
         self.tried = 0
         for order in _Orders(self._by_priority(problem), self.options.permutations):
             self.tried += 1
@@ -92,14 +93,16 @@ class OnlineMapf:
 
         return sorted(problem.agents, key=rank)
 
-    def _plan(self, order: Sequence[PlanAgent], problem: PlanningProblem) -> tuple[dict[int, Path], dict[int, int]]:
+    def _plan(
+        self, order: Sequence[PlanAgent], problem: PlanningProblem
+    ) -> tuple[dict[AgvNumber, Path], dict[AgvNumber, AgvNumber]]:
         """Paths in this order, and for those without one who is in the way; an agent without a path keeps its place."""
         agents = {agent.agv for agent in order}
         self.table.reset([path for path in problem.fixed if path.agv not in agents])
         for agent in order:
             self.table.hold(agent.vertex, 0, agent.ready_step + self._leaving(agent, problem), agent.agv)
-        paths: dict[int, Path] = {}
-        failed: dict[int, int] = {}
+        paths: dict[AgvNumber, Path] = {}
+        failed: dict[AgvNumber, AgvNumber] = {}
         for agent in order:
             self.table.remove(agent.agv)
             found = self._search.find_path(problem, agent, self.table)
@@ -114,7 +117,7 @@ class OnlineMapf:
     def _leaving(self, agent: PlanAgent, problem: PlanningProblem) -> int:
         """Steps an agent needs at least to leave its start."""
         graph, motion = problem.graph, problem.motion
-        out = range(int(graph.first_out[agent.vertex]), int(graph.first_out[agent.vertex + 1]))
+        out = graph.out_edges(agent.vertex)
         driving = motion.edge_steps[int(agent.loaded)]
         return min((motion.turn(graph, agent.in_edge, e, agent.loaded) + int(driving[e]) for e in out), default=1)
 
@@ -130,7 +133,7 @@ class _Order:
 
     def __init__(self, agents: tuple[PlanAgent, ...]) -> None:
         self.agents = agents
-        self.failed = -1
+        self.failed = NO_AGV
 
 
 class _Orders:
@@ -154,11 +157,11 @@ class _Orders:
                 following = next((o for o in islice(rest, self._most) if o not in seen), None)
 
 
-def dead_ends(graph: Graph) -> frozenset[int]:
+def dead_ends(graph: Graph) -> frozenset[Vertex]:
     """Vertices of dead ends: from a place with one neighbour back to where there is another way to go."""
-    found: set[int] = set()
-    for end, ways in enumerate(graph.successors):
-        v, came_from = end, -1
+    found: set[Vertex] = set()
+    for end, ways in numbered(graph.successors):
+        v, came_from = end, NO_VERTEX
         while len(ways) == 1 or (came_from >= 0 and len(ways) == 2 and came_from in ways):
             found.add(v)
             onward = [w for w in ways if w != came_from]
@@ -193,11 +196,11 @@ def cut_at_wait(path: Path, problem: PlanningProblem) -> Path:
 
 
 def current_goals(
-    final: Mapping[int, int],
-    distance: Mapping[int, float],
-    way_points: Mapping[int, Sequence[int]],
-    standing: Mapping[int, int] | None = None,
-) -> dict[int, int]:
+    final: Mapping[AgvNumber, Vertex],
+    distance: Mapping[AgvNumber, float],
+    way_points: Mapping[Vertex, Sequence[Vertex]],
+    standing: Mapping[Vertex, AgvNumber] | None = None,
+) -> dict[AgvNumber, Vertex]:
     """Where each robot has to go now, if several want one place (paper, section 3.1.1).
 
     The robot with the shorter way gets the place, the others the way points before it in their order; calling this
@@ -214,7 +217,7 @@ def current_goals(
         The current goal of each robot; one for whom no way point is left keeps its final goal.
     """
     taken = dict(standing or {})
-    goals: dict[int, int] = {}
+    goals: dict[AgvNumber, Vertex] = {}
     finals = set(final.values())
     for n in sorted(final, key=lambda n: (final[n], distance[n], n)):
         ways = [v for v in way_points.get(final[n], ()) if v not in finals]

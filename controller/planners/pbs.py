@@ -26,7 +26,7 @@ from controller.search.groups import Group, empty_group, load, unload, with_path
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
 from controller.search.space import Space
-from controller.types import FOREVER, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from controller.types import FOREVER, AgvNumber, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
 from sumo_nets.graph import Graph, IntArray
 
 
@@ -112,7 +112,7 @@ class _Tree:
         self.agvs: IntArray = np.array([agent.agv for agent in self.agents], dtype=np.int32)
         self.window = min(problem.window_steps, FOREVER)
 
-    def run(self) -> dict[int, Path] | None:
+    def run(self) -> dict[AgvNumber, Path] | None:
         """The paths of the first node without a meeting; None if there is none within the limit."""
         n = len(self.agents)
         root = _Node([0] * n, empty_group(n), [None] * n, [0] * n)

@@ -26,8 +26,20 @@ from numpy.typing import NDArray
 from controller.kernel import kernel
 from controller.search.distances import Distances, Field, settle
 from controller.search.space import Lanes, Space
-from controller.types import FOREVER, NEVER, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from controller.types import (
+    FOREVER,
+    NEVER,
+    AgvNumber,
+    Counters,
+    Motion,
+    Path,
+    PlanAgent,
+    PlanningProblem,
+    PlanResult,
+    Status,
+)
 from sumo_nets.graph import Graph, IntArray
+from sumo_nets.numbering import Vertex
 
 #: Instead of a vertex or an agent.
 NOBODY = -1
@@ -64,7 +76,7 @@ class Pibt:
     def __init__(self, space: Space) -> None:
         self.distances = Distances(space)
         self.outward = dead_ends(space)
-        self._waited: dict[int, tuple[int, int]] = {}
+        self._waited: dict[AgvNumber, tuple[Vertex, int]] = {}
         self._reach = 2 * int(space.lanes.edge_steps.max(initial=1))
 
     def __call__(self, problem: PlanningProblem) -> PlanResult:
@@ -120,10 +132,10 @@ def dead_ends(space: Space) -> IntArray:
     return outward
 
 
-def obstacles(problem: PlanningProblem) -> tuple[NDArray[np.uint8], dict[int, int]]:
+def obstacles(problem: PlanningProblem) -> tuple[NDArray[np.uint8], dict[Vertex, int]]:
     """Vertices closed by fixed paths, and from when on those are free where somebody is just about to leave."""
     closed = problem.blocked.copy()
-    free_at: dict[int, int] = {}
+    free_at: dict[Vertex, int] = {}
     for path in problem.fixed:
         if len(path.vertices) == 1 and path.until < problem.window_steps:
             v = path.vertices[0]
@@ -304,15 +316,15 @@ def closes_ring(i: int, v: int, moves: Moves) -> bool:
 
 
 def _timed(
-    problem: PlanningProblem, agents: Sequence[PlanAgent], moves: Moves, free_at: Mapping[int, int]
-) -> dict[int, Path]:
+    problem: PlanningProblem, agents: Sequence[PlanAgent], moves: Moves, free_at: Mapping[Vertex, int]
+) -> dict[AgvNumber, Path]:
     """Put durations in: whoever enters a vertex waits for the one that leaves it."""
     graph, motion = problem.graph, problem.motion
-    paths: dict[int, Path] = {}
+    paths: dict[AgvNumber, Path] = {}
     stack = list(range(len(agents)))[::-1]
     while stack:
         agent = agents[stack[-1]]
-        u, w = int(moves.now[stack[-1]]), int(moves.next[stack[-1]])
+        u, w = Vertex(int(moves.now[stack[-1]])), Vertex(int(moves.next[stack[-1]]))
         ahead = int(moves.occupant[w])
         if agent.agv in paths:
             stack.pop()

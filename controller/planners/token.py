@@ -28,8 +28,9 @@ from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
 from controller.search.space import Space
-from controller.types import FOREVER, Counters, Motion, PlanAgent, PlanningProblem, PlanResult, Status
+from controller.types import FOREVER, AgvNumber, Counters, Motion, PlanAgent, PlanningProblem, PlanResult, Status
 from sumo_nets.graph import Graph, IntArray
+from sumo_nets.numbering import Vertex
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +64,9 @@ class _Cut:
         around: while all these vertices are closed there is no way; empty if it is not that.
     """
 
-    vertex: int
-    goal: int
-    blocker: int
+    vertex: Vertex
+    goal: Vertex
+    blocker: AgvNumber
     around: IntArray
 
     def holds(self, agent: PlanAgent, closed: NDArray[np.uint8]) -> bool:
@@ -98,8 +99,8 @@ class Token:
         self._around_slots = PathSearch(Distances(space, ends=self._slots), options.slack_moves * move)
         self._through_slots = PathSearch(Distances(space, whole=True), options.slack_moves * move)
         self._search = self._around_slots
-        self._looked: dict[int, int] = {}
-        self._cuts: dict[int, _Cut] = {}
+        self._looked: dict[AgvNumber, int] = {}
+        self._cuts: dict[AgvNumber, _Cut] = {}
 
     @property
     def distances(self) -> Distances:
@@ -121,8 +122,8 @@ class Token:
         self._search.begin(problem)
         self.table.reset(problem.fixed)
         waiting = sorted(problem.agents, key=lambda agent: (-agent.priority, agent.agv))
-        planned: dict[int, PlanAgent] = {}
-        failed: dict[int, int] = {}
+        planned: dict[AgvNumber, PlanAgent] = {}
+        failed: dict[AgvNumber, AgvNumber] = {}
         for _ in range(self.options.passes):
             failed = {}
             for agent in waiting:
@@ -139,7 +140,7 @@ class Token:
         counters = Counters(*self._search.distances.counters.tolist())
         return PlanResult(Status.PARTIAL if failed else Status.SOLVED, paths, failed, counters)
 
-    def _plan(self, agent: PlanAgent, problem: PlanningProblem) -> int | None:
+    def _plan(self, agent: PlanAgent, problem: PlanningProblem) -> AgvNumber | None:
         """Reserve a new path instead of the one carried out so far; if there is none, that one stays.
 
         Returns:
@@ -167,7 +168,7 @@ class Token:
         around = closed_around(agent.vertex, agent.goal, closed, space.lanes, counters)
         return _Cut(agent.vertex, agent.goal, self._search.blocker, around)
 
-    def _improve(self, problem: PlanningProblem, planned: dict[int, PlanAgent]) -> set[int]:
+    def _improve(self, problem: PlanningProblem, planned: dict[AgvNumber, PlanAgent]) -> set[AgvNumber]:
         """Improve the plan of all that have a path to their goal; those whose path has changed."""
         ends = {path.agv: path.vertices[-1] for path in problem.fixed}
         agents = {a.agv: a for a in problem.carrying if ends.get(a.agv) == a.goal} | planned

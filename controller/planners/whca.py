@@ -23,7 +23,7 @@ from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
 from controller.search.space import Space
-from controller.types import Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from controller.types import AgvNumber, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
 from sumo_nets.graph import Graph
 
 
@@ -71,7 +71,7 @@ class Whca:
 class SingleAgentSearch(Protocol):
     """What finds one agent's path: ``PathSearch`` anywhere on the floor, or a planner's own along a fixed route."""
 
-    blocker: int
+    blocker: AgvNumber
 
     def find_path(self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable) -> Path | None:
         """A path that keeps clear of the table, or None; then ``blocker`` is who is in the way, or -1."""
@@ -98,8 +98,8 @@ class Round:
         self.search = search
         self.raises = raises
         self.agents = {agent.agv: agent for agent in problem.agents}
-        self.paths: dict[int, Path] = {}
-        self.failed: dict[int, int] = {}
+        self.paths: dict[AgvNumber, Path] = {}
+        self.failed: dict[AgvNumber, AgvNumber] = {}
         self.queue = deque(sorted(problem.agents, key=lambda agent: (-agent.priority, agent.agv)))
 
     @property
@@ -133,18 +133,18 @@ class Round:
         graph, motion = self.problem.graph, self.problem.motion
         leaving = [
             motion.turn(graph, agent.in_edge, e, agent.loaded) + int(motion.edge_steps[int(agent.loaded), e])
-            for e in range(int(graph.first_out[agent.vertex]), int(graph.first_out[agent.vertex + 1]))
+            for e in graph.out_edges(agent.vertex)
         ]
         self.table.hold(agent.vertex, 0, agent.ready_step + min(leaving, default=1), agent.agv)
 
-    def _take_back(self, agv: int) -> None:
+    def _take_back(self, agv: AgvNumber) -> None:
         """Take back an agent's path; it is planned again, before those that have not been planned yet."""
         del self.paths[agv]
         self.table.remove(agv)
         self._reserve_start(self.agents[agv])
         self.queue.appendleft(self.agents[agv])
 
-    def _hold(self, agent: PlanAgent, blocker: int) -> None:
+    def _hold(self, agent: PlanAgent, blocker: AgvNumber) -> None:
         """Let an agent keep its place for the whole window, and plan again for all that meant to pass there."""
         for agv in {owner for _, _, owner in self.table.intervals(agent.vertex)} & self.paths.keys():
             self._take_back(agv)

@@ -15,6 +15,7 @@ Limits: the route is the shortest only where the choices on the floor are few: n
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from controller.types import FOLD_DEG
 from sumo_nets.graph import Graph, IntArray
+from sumo_nets.numbering import NO_EDGE, EdgeIndex, Vertex
 
 #: Columns of ``BinaryTree.child`` and ``BinaryTree.edge``.
 LEFT, RIGHT = 0, 1
@@ -57,7 +59,7 @@ class Route:
         length_m: metres driven.
     """
 
-    vertices: tuple[int, ...]
+    vertices: tuple[Vertex, ...]
     length_m: float
 
 
@@ -66,10 +68,10 @@ class _Compiler:
 
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
-        self.numbers: dict[tuple[int, tuple[int, ...]], int] = {}
-        self.todo: list[tuple[int, tuple[int, ...]]] = []
+        self.numbers: dict[tuple[Vertex, tuple[EdgeIndex, ...]], int] = {}
+        self.todo: list[tuple[Vertex, tuple[EdgeIndex, ...]]] = []
 
-    def number(self, vertex: int, ways: tuple[int, ...]) -> int:
+    def number(self, vertex: Vertex, ways: tuple[EdgeIndex, ...]) -> int:
         """The node of a vertex with these ways on."""
         key = (vertex, ways)
         if key not in self.numbers:
@@ -77,23 +79,19 @@ class _Compiler:
             self.todo.append(key)
         return self.numbers[key]
 
-    def arrival(self, edge: int, reversal: bool = False) -> int:
+    def arrival(self, edge: EdgeIndex, reversal: bool = False) -> int:
         """The node for arriving over an edge; it leads on without reversing unless ``reversal``."""
         g = self.graph
-        v = int(g.head[edge])
-        ways = [
-            f
-            for f in range(int(g.first_out[v]), int(g.first_out[v + 1]))
-            if (reversal if f == g.reverse[edge] else g.bend_deg(edge, f) <= FOLD_DEG)
-        ]
+        v = g.ends[edge][1]
+        ways = [f for f in g.out_edges(v) if (reversal if f == g.reverse[edge] else g.bend_deg(edge, f) <= FOLD_DEG)]
         return self.number(v, self._left_to_right(ways, float(g.heading_deg[edge])))
 
-    def standing(self, vertex: int) -> int:
+    def standing(self, vertex: Vertex) -> int:
         """The node of an AGV that may leave a vertex any way, seen as if it had come from the south."""
-        ways = list(range(int(self.graph.first_out[vertex]), int(self.graph.first_out[vertex + 1])))
+        ways = self.graph.out_edges(vertex)
         return self.number(vertex, self._left_to_right(ways, 90.0))
 
-    def children(self, vertex: int, ways: tuple[int, ...]) -> tuple[int, int, int, int]:
+    def children(self, vertex: Vertex, ways: tuple[EdgeIndex, ...]) -> tuple[int, int, int, int]:
         """Left and right child and the edges to them."""
         if not ways:
             return -1, -1, -1, -1
@@ -104,8 +102,8 @@ class _Compiler:
             return left, self.arrival(ways[1]), ways[0], ways[1]
         return left, self.number(vertex, ways[1:]), ways[0], -1
 
-    def _left_to_right(self, ways: list[int], heading_deg: float) -> tuple[int, ...]:
-        def bend(f: int) -> float:
+    def _left_to_right(self, ways: Sequence[EdgeIndex], heading_deg: float) -> tuple[EdgeIndex, ...]:
+        def bend(f: EdgeIndex) -> float:
             """Counter-clockwise change of heading, above -180 and up to 180 degrees."""
             return 180.0 - (heading_deg - float(self.graph.heading_deg[f]) + 180.0) % 360.0
 
@@ -122,9 +120,8 @@ def compile_tree(graph: Graph) -> BinaryTree:
         The tree, for any number of queries.
     """
     compiler = _Compiler(graph)
-    edges = range(len(graph.tail))
-    start = [compiler.arrival(e, reversal=True) for e in edges]
-    start += [compiler.standing(v) for v in range(len(graph.names))]
+    start = [compiler.arrival(e, reversal=True) for e in graph.edges]
+    start += [compiler.standing(v) for v in graph.vertices]
     vertex: list[int] = []
     child: list[tuple[int, int]] = []
     edge: list[tuple[int, int]] = []
@@ -137,7 +134,11 @@ def compile_tree(graph: Graph) -> BinaryTree:
 
 
 def find_routes(
-    tree: BinaryTree, vertex: int, goal: int, in_edge: int = -1, blocked: NDArray[np.uint8] | None = None
+    tree: BinaryTree,
+    vertex: Vertex,
+    goal: Vertex,
+    in_edge: EdgeIndex = NO_EDGE,
+    blocked: NDArray[np.uint8] | None = None,
 ) -> tuple[Route | None, Route | None]:
     """The routes of the left-first and of the right-first search.
 
@@ -160,14 +161,18 @@ def find_routes(
 
 
 def find_route(
-    tree: BinaryTree, vertex: int, goal: int, in_edge: int = -1, blocked: NDArray[np.uint8] | None = None
+    tree: BinaryTree,
+    vertex: Vertex,
+    goal: Vertex,
+    in_edge: EdgeIndex = NO_EDGE,
+    blocked: NDArray[np.uint8] | None = None,
 ) -> Route | None:
     """The shorter of the two routes; arguments as for ``find_routes``."""
     left, right = find_routes(tree, vertex, goal, in_edge, blocked)
     return None if left is None or right is None else min(left, right, key=lambda route: route.length_m)
 
 
-def _route(tree: BinaryTree, vertex: int, edges: IntArray) -> Route | None:
+def _route(tree: BinaryTree, vertex: Vertex, edges: IntArray) -> Route | None:
     if len(edges) and edges[0] == -2:
         return None
     g = tree.graph

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from controller.types import FOLD_DEG
 from sumo_nets.graph import FloatArray, Graph
+from sumo_nets.numbering import Vertex, numbered
 
 #: Bends below this many degrees count as straight on.
 STRAIGHT_DEG = 1.0
@@ -126,7 +127,7 @@ class Turn:
         drivable: the AGV can steer that arc, and some arc it can steer and has room for keeps clear of the walls.
     """
 
-    vertices: tuple[int, int, int]
+    vertices: tuple[Vertex, Vertex, Vertex]
     bend_deg: float
     radius_m: float
     drivable: bool
@@ -147,14 +148,13 @@ def check_turns(graph: Graph, agv: ForkAgv, aisle_m: float) -> Iterator[Turn]:
         One turn for each edge and next edge whose bend is neither straight on nor a fold.
     """
     room = graph.length_m * np.where(_ends_dead(graph), 1.0, 0.5)
-    for e in range(len(graph.tail)):
-        v = int(graph.head[e])
-        for f in range(int(graph.first_out[v]), int(graph.first_out[v + 1])):
+    for e, (u, v) in numbered(graph.ends):
+        for f in graph.out_edges(v):
             bend = graph.bend_deg(e, f)
             if f == graph.reverse[e] or not STRAIGHT_DEG < bend <= FOLD_DEG:
                 continue
             widest = float(min(room[e], room[f])) / math.tan(math.radians(bend) / 2)
-            vertices = (int(graph.tail[e]), v, int(graph.head[f]))
+            vertices = (u, v, graph.ends[f][1])
             yield Turn(vertices, bend, widest, widest >= agv.least_radius_m and _fits(agv, widest, bend, aisle_m))
 
 

@@ -8,9 +8,10 @@ from collections.abc import Iterator
 from controller.routing.binary_tree import Route
 from controller.types import FOLD_DEG
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import NO_EDGE, EdgeIndex, Vertex
 
 
-def shortest_route(graph: Graph, start: int, goal: int) -> Route | None:
+def shortest_route(graph: Graph, start: Vertex, goal: Vertex) -> Route | None:
     """The route of fewest metres without a reversal or a fold on the way; ties by edge number. None if there is none.
 
     Args:
@@ -19,9 +20,9 @@ def shortest_route(graph: Graph, start: int, goal: int) -> Route | None:
     """
     if start == goal:
         return Route((start,), 0.0)
-    OPEN = [(float(graph.length_m[e]), e, -1) for e in _ways(graph, start)]
+    OPEN = [(float(graph.length_m[e]), e, NO_EDGE) for e in graph.out_edges(start)]
     heapq.heapify(OPEN)
-    came_by: dict[int, int] = {}
+    came_by: dict[EdgeIndex, EdgeIndex] = {}
     while OPEN:
         metres, edge, before = heapq.heappop(OPEN)
         if edge in came_by:
@@ -29,18 +30,14 @@ def shortest_route(graph: Graph, start: int, goal: int) -> Route | None:
         came_by[edge] = before
         if graph.head[edge] == goal:
             return Route((start, *_trace(graph, edge, came_by)), metres)
-        for f in _ways(graph, int(graph.head[edge])):
+        for f in graph.out_edges(graph.ends[edge][1]):
             if f not in came_by and f != graph.reverse[edge] and graph.bend_deg(edge, f) <= FOLD_DEG:
                 heapq.heappush(OPEN, (metres + float(graph.length_m[f]), f, edge))
     return None
 
 
-def _ways(graph: Graph, vertex: int) -> range:
-    return range(int(graph.first_out[vertex]), int(graph.first_out[vertex + 1]))
-
-
-def _trace(graph: Graph, edge: int, came_by: dict[int, int]) -> Iterator[int]:
+def _trace(graph: Graph, edge: EdgeIndex, came_by: dict[EdgeIndex, EdgeIndex]) -> Iterator[Vertex]:
     edges = [edge]
     while (edge := came_by[edge]) >= 0:
         edges.append(edge)
-    return (int(graph.head[e]) for e in reversed(edges))
+    return (graph.ends[e][1] for e in reversed(edges))

@@ -26,6 +26,7 @@ from controller.search.landmarks import at_least as landmarks_say
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes, Space, by_air
 from controller.types import FOREVER, NEVER
 from sumo_nets.graph import FloatArray, IntArray
+from sumo_nets.numbering import NO_VERTEX, EdgeIndex, Vertex
 
 #: Columns of ``Field.states``: g + 1 (0: not seen yet), f, place in OPEN + 1 (-1: closed), and OPEN itself.
 G, F, PLACE, OPEN = 0, 1, 2, 3
@@ -73,14 +74,14 @@ class Distances:
         self._ends = np.zeros(len(space.lanes.xy), dtype=np.uint8) if ends is None else ends
         self._landmarks = Landmarks(space, self._ends)
         self._whole = whole
-        self._ready: dict[tuple[int, bool], Field] = {}
+        self._ready: dict[tuple[Vertex, bool], Field] = {}
         motion = space.motion
         self._speeds_differ = bool(
             (motion.edge_steps[0] != motion.edge_steps[1]).any() or (motion.turn_steps[0] != motion.turn_steps[1]).any()
         )
         self.blocked: NDArray[np.uint8] = np.zeros(len(space.lanes.xy), dtype=np.uint8)
         self.counters: NDArray[np.int64] = np.zeros(4, dtype=np.int64)
-        self._fields: OrderedDict[tuple[int, bool, int], Field] = OrderedDict()
+        self._fields: OrderedDict[tuple[Vertex, bool, Vertex], Field] = OrderedDict()
         self._cap = max(64, max_bytes // (16 * max(1, len(space.lanes.tail))))
 
     def update(self, blocked: NDArray[np.uint8]) -> None:
@@ -96,7 +97,7 @@ class Distances:
             for ready in [k for k, field in self._ready.items() if _differs(changed, field, lanes, self.blocked)]:
                 del self._ready[ready]
 
-    def prepare(self, goals: Iterable[int]) -> None:
+    def prepare(self, goals: Iterable[Vertex]) -> None:
         """Find all distances to these vertices now, not when they are first asked for, as far as memory allows.
 
         With a field for each end point, memory and time grow with the square of the garage. Public solvers do so before
@@ -107,7 +108,7 @@ class Distances:
             self._make_ready(goal, loaded)
             self._landmarks.bounds(goal, loaded)
 
-    def field(self, goal: int, loaded: bool, asker: int) -> Field:
+    def field(self, goal: Vertex, loaded: bool, asker: Vertex) -> Field:
         """The field of a goal, new ones aimed at the vertex ``asker``."""
         loaded = loaded and self._speeds_differ
         field = self._ready.get((goal, loaded))
@@ -126,11 +127,11 @@ class Distances:
             self._fields.move_to_end(key)
         return field
 
-    def bounds(self, goal: int, loaded: bool) -> Bounds:
+    def bounds(self, goal: Vertex, loaded: bool) -> Bounds:
         """What is known of the way to a goal without any search, for :func:`at_least`."""
         return self._landmarks.bounds(goal, loaded and self._speeds_differ)
 
-    def distance(self, vertex: int, in_edge: int, goal: int, loaded: bool) -> int:
+    def distance(self, vertex: Vertex, in_edge: EdgeIndex, goal: Vertex, loaded: bool) -> int:
         """Steps from a vertex to a goal, turns included.
 
         Args:
@@ -147,7 +148,7 @@ class Distances:
         field = self.field(goal, loaded, vertex)
         return int(distance_from(vertex, in_edge, field, self.space.lanes, self.blocked, self.counters))
 
-    def way(self, vertex: int, in_edge: int, goal: int, loaded: bool) -> IntArray:
+    def way(self, vertex: Vertex, in_edge: EdgeIndex, goal: Vertex, loaded: bool) -> IntArray:
         """A quickest way to a goal, same arguments as for :meth:`distance`.
 
         Returns:
@@ -158,7 +159,7 @@ class Distances:
         field = self.field(goal, loaded, vertex)
         return way[: _descend(vertex, in_edge, field, self.space.lanes, self.blocked, self.counters, way)]
 
-    def known(self, vertex: int, in_edge: int, goal: int, loaded: bool) -> int:
+    def known(self, vertex: Vertex, in_edge: EdgeIndex, goal: Vertex, loaded: bool) -> int:
         """A bound below :meth:`distance` that takes no search and changes nothing; same arguments.
 
         Exact where one has been already.
@@ -174,22 +175,22 @@ class Distances:
             return field.states.item(in_edge, G) - 1
         return int(at_least(in_edge, goal, field, self.bounds(goal, loaded), lanes))
 
-    def _key(self, goal: int, loaded: bool, asker: int) -> tuple[int, bool, int]:
+    def _key(self, goal: Vertex, loaded: bool, asker: Vertex) -> tuple[Vertex, bool, Vertex]:
         """Under which a field is kept."""
-        return goal, loaded, asker if self._goes_straight(asker, goal) else -1
+        return goal, loaded, asker if self._goes_straight(asker, goal) else NO_VERTEX
 
-    def _goes_straight(self, asker: int, goal: int) -> bool:
+    def _goes_straight(self, asker: Vertex, goal: Vertex) -> bool:
         """A field of its own, by the asker's table, pays where few others will ask for this goal."""
         return asker in self._landmarks.vertices and goal not in self._landmarks.vertices
 
-    def _make_ready(self, goal: int, loaded: bool) -> Field:
+    def _make_ready(self, goal: Vertex, loaded: bool) -> Field:
         """Find the whole field of a goal, which is used from now on."""
         closed = self._ends if self._whole else self.blocked
         field = _whole(goal, loaded, closed, self.space.lanes, self.counters)
         self._ready[goal, loaded] = field
         return field
 
-    def _new_field(self, goal: int, loaded: bool, asker: int) -> Field:
+    def _new_field(self, goal: Vertex, loaded: bool, asker: Vertex) -> Field:
         s = self.space
         straight = self._goes_straight(asker, goal)
         field = Field(
@@ -203,7 +204,7 @@ class Distances:
         return field
 
 
-def _whole(goal: int, loaded: bool, blocked: NDArray[np.uint8], lanes: Lanes, counters: NDArray[np.int64]) -> Field:
+def _whole(goal: Vertex, loaded: bool, blocked: NDArray[np.uint8], lanes: Lanes, counters: NDArray[np.int64]) -> Field:
     """A field without an aim, searched to its end."""
     field = Field(
         np.zeros((len(lanes.tail), 4), dtype=np.int32),

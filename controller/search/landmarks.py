@@ -19,6 +19,7 @@ from controller.kernel import kernel
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes, Space
 from controller.types import FOREVER, NEVER
 from sumo_nets.graph import IntArray
+from sumo_nets.numbering import Vertex
 
 #: More of them hardly make the bounds any better.
 MOST_IN_BOUNDS = 16
@@ -52,12 +53,12 @@ class Landmarks:
         self.vertices = frozenset((*roles["home"], *roles["bay"], *roles["charger"]))
         self._lanes = space.lanes
         self._ends = ends
-        self._tables: dict[tuple[int, bool], IntArray] = {}
+        self._tables: dict[tuple[Vertex, bool], IntArray] = {}
         none = np.zeros((0, len(space.lanes.tail)), dtype=np.int32)
         self._stacked: dict[bool, IntArray] = {False: none, True: none}
-        self._bounds: dict[tuple[int, bool], Bounds] = {}
+        self._bounds: dict[tuple[Vertex, bool], Bounds] = {}
 
-    def steps_from(self, vertex: int, loaded: bool, counters: NDArray[np.int64]) -> IntArray:
+    def steps_from(self, vertex: Vertex, loaded: bool, counters: NDArray[np.int64]) -> IntArray:
         """Steps from a landmark until each edge has been driven, shape (m,); ``FOREVER`` where there is no way."""
         table = self._tables.get((vertex, loaded))
         if table is None:
@@ -68,7 +69,7 @@ class Landmarks:
                 self._bounds.clear()
         return table
 
-    def bounds(self, goal: int, loaded: bool) -> Bounds:
+    def bounds(self, goal: Vertex, loaded: bool) -> Bounds:
         """What the tables made so far say about a goal."""
         bounds = self._bounds.get((goal, loaded))
         if bounds is None:

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.kernel import kernel
-from controller.types import FOREVER, Path
+from controller.types import FOREVER, NO_AGV, AgvNumber, Path
 from sumo_nets.graph import IntArray
+from sumo_nets.numbering import Vertex
 
 #: Columns of ``Reserved.rows``.
 START, END, AGENT, NEXT = 0, 1, 2, 3
@@ -78,7 +79,7 @@ class ReservationTable:
         """Reserve all vertices of a path for its agent."""
         self.put(_packed((path,)), 1)
 
-    def hold(self, vertex: int, start: int, end: int, agv: int) -> None:
+    def hold(self, vertex: Vertex, start: int, end: int, agv: AgvNumber) -> None:
         """Reserve one vertex for the steps ``start`` to ``end`` (exclusive)."""
         self.put(np.array((agv, 1, vertex, start, end), dtype=np.int32), 1)
 
@@ -92,7 +93,7 @@ class ReservationTable:
                 return
             self.grow()
 
-    def take(self, agvs: Sequence[int]) -> IntArray:
+    def take(self, agvs: Sequence[AgvNumber]) -> IntArray:
         """Take back all reservations of some agents; their paths, for :meth:`put`."""
         words = np.empty(self.reserved.used[WORDS], dtype=np.int32)
         return words[: _take(np.array(agvs, dtype=np.int32), self.reserved, words)]
@@ -102,11 +103,11 @@ class ReservationTable:
         _remove_owners(words, self.reserved)
         self.put(words, paths)
 
-    def remove(self, agv: int) -> None:
+    def remove(self, agv: AgvNumber) -> None:
         """Take back all reservations of an agent; nothing happens if it has none."""
         _remove(agv, self.reserved)
 
-    def path(self, agv: int) -> Path:
+    def path(self, agv: AgvNumber) -> Path:
         """The path reserved for an agent that has one."""
         words, span = self.reserved.words, span_of(agv, 0, self.reserved)
         if span < 0:
@@ -116,22 +117,22 @@ class ReservationTable:
         numbers = words[place + HEAD : place + HEAD + EACH * n].tolist()
         return Path(agv, tuple(numbers[:n]), tuple(numbers[n : 2 * n]), tuple(numbers[2 * n : -1]), numbers[-1])
 
-    def rests(self, but: int) -> IntArray:
+    def rests(self, but: AgvNumber) -> IntArray:
         """Vertices where somebody rests for ever, but for one agent."""
         vertices = np.empty(self.reserved.used[SPANS], dtype=np.int32)
         return vertices[: _rests(but, self.reserved, vertices)]
 
-    def owner(self, vertex: int, step: int) -> int:
+    def owner(self, vertex: Vertex, step: int) -> AgvNumber:
         """Agent that owns a vertex at a step, -1 if it is free."""
         for start, end, agv in self.intervals(vertex):
             if start <= step < end:
                 return agv
-        return -1
+        return NO_AGV
 
-    def intervals(self, vertex: int) -> Iterator[tuple[int, int, int]]:
+    def intervals(self, vertex: Vertex) -> Iterator[tuple[int, int, AgvNumber]]:
         """The (start, end, agent) of a vertex, in order of time."""
         for row in self.reserved.rows[vertex, : self.reserved.counts[vertex]].tolist():
-            yield row[START], row[END], row[AGENT]
+            yield row[START], row[END], AgvNumber(row[AGENT])
 
     def make_room(self, words: int, paths: int) -> None:
         """See to it that so many more numbers and paths can be kept."""

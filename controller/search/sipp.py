@@ -49,8 +49,9 @@ from controller.search.reservations import (
     keep,
 )
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes
-from controller.types import FOREVER, NEVER, Path, PlanAgent, PlanningProblem
+from controller.types import FOREVER, NEVER, NO_AGV, AgvNumber, Path, PlanAgent, PlanningProblem
 from sumo_nets.graph import IntArray
+from sumo_nets.numbering import EdgeIndex
 
 #: Columns of ``_Memory.nodes``. EDGE is -1 for the start; SLOT numbers the safe interval of the vertex, which lasts
 #: until LAST; T and LEAVE are the arrival and the departure before it; OLDER is the next node of the same vertex;
@@ -109,7 +110,7 @@ class PathSearch:
     def __init__(self, distances: Distances, slack: int = 0) -> None:
         self.distances = distances
         self.slack = slack
-        self.blocker = -1
+        self.blocker = NO_AGV
         self.limited = False
         self._no_rest: NDArray[np.uint8] = np.zeros(len(distances.blocked), dtype=np.uint8)
         self._remember(1024)
@@ -125,7 +126,7 @@ class PathSearch:
         agent: PlanAgent,
         table: ReservationTable,
         *,
-        forbidden: Collection[tuple[int, int]] = (),
+        forbidden: Collection[tuple[EdgeIndex, int]] = (),
         max_expansions: int = FOREVER,
     ) -> Path | None:
         """The agent's quickest way towards its goal.
@@ -195,14 +196,14 @@ class PathSearch:
             else:
                 break
         self.limited = answer == LIMIT
-        self.blocker = int(self._memory.meta[BLOCKER]) if answer < 0 else -1
+        self.blocker = AgvNumber(int(self._memory.meta[BLOCKER])) if answer < 0 else NO_AGV
         return answer
 
     def _path(self, last: int, query: IntArray) -> Path | None:
         if last < 0:
             return None
         vertices, arrive, leave = _trace(last, query, self._memory.nodes).tolist()
-        return Path(int(query[Q_AGV]), tuple(vertices), tuple(arrive), tuple(leave[:-1]), leave[-1])
+        return Path(AgvNumber(int(query[Q_AGV])), tuple(vertices), tuple(arrive), tuple(leave[:-1]), leave[-1])
 
     def _remember(self, nodes: int) -> None:
         """Make search memory for so many nodes."""

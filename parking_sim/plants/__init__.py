@@ -7,24 +7,25 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from controller.faults import FaultReport
-from controller.types import AgvState, Command, Motion
+from controller.types import AgvNumber, AgvState, Command, Motion, RequestNumber
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import Numbered, Vertex
 
 
 @dataclass(frozen=True, slots=True)
 class CarAtBay:
     """The car of a customer stands at a bay's inbound place."""
 
-    request: int
-    bay: int
+    request: RequestNumber
+    bay: Vertex
 
 
 @dataclass(frozen=True, slots=True)
 class CarLeft:
     """A retrieved car has left the garage and its bay's outbound place is free."""
 
-    request: int
-    bay: int
+    request: RequestNumber
+    bay: Vertex
 
 
 PlantEvent = CarAtBay | CarLeft | FaultReport
@@ -34,7 +35,7 @@ PlantEvent = CarAtBay | CarLeft | FaultReport
 class AgvSample:
     """Where an AGV is, for the trajectory table: metres, degrees counter-clockwise from east, metres a second."""
 
-    agv: int
+    agv: AgvNumber
     x_m: float
     y_m: float
     angle_deg: float
@@ -54,13 +55,13 @@ class Plant(Protocol):
     def time_s(self) -> float:
         """Simulated seconds since the start."""
 
-    def states(self) -> Sequence[AgvState]:
+    def states(self) -> Numbered[AgvNumber, AgvState]:
         """One state for each AGV, in their order."""
 
     def events(self) -> Sequence[PlantEvent]:
         """What happened with customers' cars in the last step, and which faults began or ended."""
 
-    def arrive(self, request: int) -> None:
+    def arrive(self, request: RequestNumber) -> None:
         """A customer comes to the garage and joins the queue in the street."""
 
     def execute(self, command: Command) -> None:

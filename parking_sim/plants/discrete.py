@@ -4,10 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from controller.types import Act, Action, Advance, AgvState, CallForward, Command, DriveOff, Motion
+from controller.types import (
+    Act,
+    Action,
+    Advance,
+    AgvNumber,
+    AgvState,
+    CallForward,
+    Command,
+    DriveOff,
+    Motion,
+    RequestNumber,
+)
 from parking_sim.plants import AgvSample, CarAtBay, CarLeft, PlantEvent
 from parking_sim.rulesets import CHARGE_BELOW
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import NO_VERTEX, Numbered, NumberedList, Vertex, numbered, numbers
 
 
 class DiscretePlant:
@@ -19,26 +31,30 @@ class DiscretePlant:
         charge_after_cells: cells after which the state of charge has fallen to where charging is due.
     """
 
-    def __init__(self, graph: Graph, motion: Motion, starts: Sequence[int], charge_after_cells: int) -> None:
+    def __init__(
+        self, graph: Graph, motion: Motion, starts: Numbered[AgvNumber, Vertex], charge_after_cells: int
+    ) -> None:
         self.graph = graph
         self.motion = motion
-        self.at = list(starts)
-        self._heading = [0.0] * len(starts)
-        self._count = [0] * len(starts)
-        self._target = [-1] * len(starts)
-        self._timer = [0] * len(starts)
-        self._action: list[Action | None] = [None] * len(starts)
-        self._cells = [0.0] * len(starts)
-        self._held = [False] * len(starts)
+        self.at: NumberedList[AgvNumber, Vertex] = list(starts)
+        self._heading: NumberedList[AgvNumber, float] = [0.0] * len(starts)
+        self._count: NumberedList[AgvNumber, int] = [0] * len(starts)
+        self._target: NumberedList[AgvNumber, Vertex] = [NO_VERTEX] * len(starts)
+        self._timer: NumberedList[AgvNumber, int] = [0] * len(starts)
+        self._action: NumberedList[AgvNumber, Action | None] = list[Action | None]([None]) * len(starts)
+        self._cells: NumberedList[AgvNumber, float] = [0.0] * len(starts)
+        self._held: NumberedList[AgvNumber, bool] = [False] * len(starts)
         self._charge_after = charge_after_cells
         self._events: list[PlantEvent] = []
         self._next: list[PlantEvent] = []
         self.time_s = 0.0
 
-    def states(self) -> Sequence[AgvState]:
+    def states(self) -> Numbered[AgvNumber, AgvState]:
         """One state for each AGV, in their order."""
         rows = zip(self._count, self._timer, self._cells, strict=True)
-        return [AgvState(i, n, n, t == 0, self._soc(cells)) for i, (n, t, cells) in enumerate(rows)]
+        return [
+            AgvState(i, n, n, t == 0, self._soc(cells)) for i, (n, t, cells) in zip(numbers(self.at), rows, strict=True)
+        ]
 
     def _soc(self, cells: float) -> float:
         return round(1.0 - (1.0 - CHARGE_BELOW) * cells / self._charge_after, 9)
@@ -47,7 +63,7 @@ class DiscretePlant:
         """What happened with customers' cars in the last tick."""
         return self._events
 
-    def arrive(self, request: int) -> None:
+    def arrive(self, request: RequestNumber) -> None:
         """A customer comes; without a street there is no queue to join."""
 
     def execute(self, command: Command) -> None:
@@ -76,12 +92,12 @@ class DiscretePlant:
 
     def step(self) -> None:
         """One tick: granted moves are made, actions go on."""
-        for agv, target in enumerate(self._target):
+        for agv, target in numbered(self._target):
             if target >= 0:
                 edge = self.graph.edge_index[self.at[agv], target]
                 self._heading[agv] = float(self.graph.heading_deg[edge])
                 self.at[agv] = target
-                self._target[agv] = -1
+                self._target[agv] = NO_VERTEX
                 self._count[agv] += 1
                 self._cells[agv] += 1
             elif self._timer[agv] and not self._held[agv]:
@@ -91,21 +107,21 @@ class DiscretePlant:
         self._events, self._next = self._next, []
         self.time_s += self.motion.step_s
 
-    def hold(self, agv: int, held: bool) -> None:
+    def hold(self, agv: AgvNumber, held: bool) -> None:
         """Stop what an AGV does while it stands, or let it go on; a move already granted is made in any case."""
         self._held[agv] = held
 
-    def limit(self, agv: int, share: float) -> None:
+    def limit(self, agv: AgvNumber, share: float) -> None:
         """Nothing: a move takes a tick, and who is slower waits before it."""
 
-    def set_soc(self, agv: int, soc: float) -> None:
+    def set_soc(self, agv: AgvNumber, soc: float) -> None:
         """Set the state of charge of an AGV's battery, 0 to 1."""
         self._cells[agv] = (1.0 - soc) / (1.0 - CHARGE_BELOW) * self._charge_after
 
     def samples(self) -> Sequence[AgvSample]:
         """Where each AGV is now."""
         xy = self.graph.xy
-        return [AgvSample(i, float(xy[v, 0]), float(xy[v, 1]), self._heading[i], 0.0) for i, v in enumerate(self.at)]
+        return [AgvSample(i, float(xy[v, 0]), float(xy[v, 1]), self._heading[i], 0.0) for i, v in numbered(self.at)]
 
     def close(self) -> None:
         """Nothing to release."""

@@ -16,25 +16,27 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
+from numpy.random import Generator
 
 from controller.faults import IMMOBILE, FaultReport
-from controller.types import Act, Action, Advance, AgvState, Command
+from controller.types import Act, Action, Advance, AgvNumber, AgvState, Command, RequestNumber
 from demand.types import stream
 from parking_sim.fault_config import Battery, Breakdown, FaultConfig, Slow, Stale, ZoneStop
 from parking_sim.faults import Fault, fault_stream
 from parking_sim.plants import AgvSample, Plant, PlantEvent
+from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex, numbered, numbers
 
 
 class BreakablePlant(Plant, Protocol):
     """What faults need of a plant besides the commands."""
 
-    def hold(self, agv: int, held: bool) -> None:
+    def hold(self, agv: AgvNumber, held: bool) -> None:
         """Stop an AGV and what it does, or let it go on."""
 
-    def limit(self, agv: int, share: float) -> None:
+    def limit(self, agv: AgvNumber, share: float) -> None:
         """Let an AGV drive at a share of its speed from now on."""
 
-    def set_soc(self, agv: int, soc: float) -> None:
+    def set_soc(self, agv: AgvNumber, soc: float) -> None:
         """Set the state of charge of an AGV's battery, 0 to 1."""
 
 
@@ -57,8 +59,8 @@ class _Body:
         age: steps by which its reported positions are old.
     """
 
-    home: int
-    way: deque[int]
+    home: Vertex
+    way: deque[Vertex]
     first: int = 0
     reached: int = 0
     holds: int = 0
@@ -73,15 +75,15 @@ class _Body:
     age: int = 0
 
     @property
-    def touched(self) -> list[int]:
+    def touched(self) -> list[Vertex]:
         """Vertices that the body touches or is driving at."""
         return list(self.way)[: self.reached - self.first + 2]
 
     @property
-    def next(self) -> int:
+    def next(self) -> Vertex:
         """Vertex it is driving at, -1 for none."""
         k = self.reached - self.first + 1
-        return self.way[k] if k < len(self.way) else -1
+        return self.way[k] if k < len(self.way) else NO_VERTEX
 
 
 class FaultyPlant:
@@ -97,24 +99,26 @@ class FaultyPlant:
         InputError: a scripted fault names an AGV or a place that isn't there.
     """
 
-    def __init__(self, plant: BreakablePlant, config: FaultConfig, homes: Sequence[int], seed: int) -> None:
+    def __init__(
+        self, plant: BreakablePlant, config: FaultConfig, homes: Numbered[AgvNumber, Vertex], seed: int
+    ) -> None:
         self._plant = plant
         self._config = config
         self.graph, self.motion = plant.graph, plant.motion
-        self._bodies = [_Body(home, deque([home])) for home in homes]
+        self._bodies: Numbered[AgvNumber, _Body] = [_Body(home, deque([home])) for home in homes]
         self._faults: Iterator[Fault] = fault_stream(config, plant.graph, len(homes), seed)
         self._coming: Fault | None = next(self._faults, None)
         self._running: list[tuple[int, Fault, FaultReport]] = []
         self._postponed: list[Fault] = []
-        self._towed: dict[int, FaultReport] = {}
-        self._closed: dict[int, int] = {}
-        self._braked: dict[int, int] = {}
+        self._towed: dict[AgvNumber, FaultReport] = {}
+        self._closed: dict[Vertex, int] = {}
+        self._braked: dict[AgvNumber, Vertex] = {}
         self._news: list[PlantEvent] = []
         self._count = 0
         self._step = 0
-        self._travel = [stream(seed, f"travel {i}") for i in range(len(homes))]
-        self._radio = [stream(seed, f"radio {i}") for i in range(len(homes))]
-        self._seen: deque[list[AgvState]] = deque([list(plant.states())])
+        self._travel: Numbered[AgvNumber, Generator] = [stream(seed, f"travel {i}") for i in range(len(homes))]
+        self._radio: Numbered[AgvNumber, Generator] = [stream(seed, f"radio {i}") for i in range(len(homes))]
+        self._seen: deque[Numbered[AgvNumber, AgvState]] = deque([list(plant.states())])
         self._quiet = not config.any  # nothing happens but that batteries run flat
 
     # --- the Plant protocol ---------------------------------------------------------------------------------------
@@ -124,16 +128,16 @@ class FaultyPlant:
         """Simulated seconds since the start."""
         return self._plant.time_s
 
-    def states(self) -> Sequence[AgvState]:
+    def states(self) -> Numbered[AgvNumber, AgvState]:
         """What the AGVs report: late where positions are stale, unable where a fault holds them."""
-        return self._plant.states() if self._quiet else [self._reported(i) for i in range(len(self._bodies))]
+        return self._plant.states() if self._quiet else [self._reported(i) for i in numbers(self._bodies)]
 
     def events(self) -> Sequence[PlantEvent]:
         """What happened in the last step, faults included."""
         news, self._news = self._news, []
         return [*self._plant.events(), *news]
 
-    def arrive(self, request: int) -> None:
+    def arrive(self, request: RequestNumber) -> None:
         """A customer comes to the garage."""
         self._plant.arrive(request)
 
@@ -188,7 +192,7 @@ class FaultyPlant:
 
     # --- what is reported -----------------------------------------------------------------------------------------
 
-    def _reported(self, i: int) -> AgvState:
+    def _reported(self, i: AgvNumber) -> AgvState:
         body = self._bodies[i]
         age = min(body.age, len(self._seen) - 1)
         state = self._seen[-1 - age][i]
@@ -203,7 +207,7 @@ class FaultyPlant:
         keep = 1 + max((body.age for body in self._bodies), default=0)
         while len(self._seen) > keep:
             self._seen.popleft()
-        for i, (body, state) in enumerate(zip(self._bodies, states, strict=True)):
+        for (i, body), state in zip(numbered(self._bodies), states, strict=True):
             while body.first < state.left:
                 body.first += 1
                 body.way.popleft()
@@ -219,7 +223,7 @@ class FaultyPlant:
 
     # --- travel time ----------------------------------------------------------------------------------------------
 
-    def _vary(self, i: int) -> None:
+    def _vary(self, i: AgvNumber) -> None:
         """Draw how long the next move takes."""
         sigma, body = self._config.travel_noise, self._bodies[i]
         factor = math.exp(sigma * float(self._travel[i].standard_normal())) if sigma else 1.0
@@ -230,7 +234,7 @@ class FaultyPlant:
         else:  # no AGV is faster than a cell a tick
             body.owed += max(0.0, factor / (body.slow * body.tow) - 1.0)
 
-    def _pay(self, i: int) -> None:
+    def _pay(self, i: AgvNumber) -> None:
         """Be late by whole ticks (discrete plant)."""
         body = self._bodies[i]
         ticks = int(body.owed)
@@ -239,11 +243,11 @@ class FaultyPlant:
         fault = Fault(self._now_s, "stop", ticks * self.motion.step_s, i)
         self._running.append((self._step + ticks, fault, FaultReport(-1, "", True, (i,))))
 
-    def _limit(self, i: int) -> None:
+    def _limit(self, i: AgvNumber) -> None:
         body = self._bodies[i]
         self._plant.limit(i, body.noise * body.slow * body.tow)
 
-    def _hold(self, i: int, held: bool) -> None:
+    def _hold(self, i: AgvNumber, held: bool) -> None:
         body = self._bodies[i]
         body.holds += 1 if held else -1
         if body.holds == int(held):
@@ -251,7 +255,7 @@ class FaultyPlant:
 
     # --- commands -------------------------------------------------------------------------------------------------
 
-    def _delay(self, i: int) -> tuple[int, str]:
+    def _delay(self, i: AgvNumber) -> tuple[int, str]:
         """Steps by which the next command of an AGV is late, and why."""
         commands, rng = self._config.commands, self._radio[i]
         seconds = 0.0
@@ -283,7 +287,7 @@ class FaultyPlant:
 
     # --- faults begin and end -------------------------------------------------------------------------------------
 
-    def _begin_report(self, kind: str, agvs: tuple[int, ...], vertices: tuple[int, ...] = ()) -> FaultReport:
+    def _begin_report(self, kind: str, agvs: tuple[AgvNumber, ...], vertices: tuple[Vertex, ...] = ()) -> FaultReport:
         report = FaultReport(self._count, kind, True, agvs, vertices)
         self._count += 1
         self._news.append(report)
@@ -303,7 +307,7 @@ class FaultyPlant:
             else:
                 self._begin(fault)
 
-    def _occupied(self, vertex: int) -> bool:
+    def _occupied(self, vertex: Vertex) -> bool:
         """An AGV is there or can't be stopped before it: nobody steps in front of it."""
         return any(vertex in body.touched for body in self._bodies)
 
@@ -317,21 +321,21 @@ class FaultyPlant:
         for v in vertices if fault.kind in ("blocked", "zone_stop") else ():
             self._closed[v] = self._closed.get(v, 0) + 1
 
-    def _concerned(self, fault: Fault) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    def _concerned(self, fault: Fault) -> tuple[tuple[AgvNumber, ...], tuple[Vertex, ...]]:
         """AGVs and vertices of a fault that begins now."""
         if fault.agv >= 0:
             return (fault.agv,), ()
         if fault.kind == "all_stop":
-            return tuple(range(len(self._bodies))), ()
+            return tuple(numbers(self._bodies)), ()
         if fault.kind != "zone_stop":
             return (), (fault.vertex,)
         radius_m = (self._config.zone_stop or ZoneStop(per_h=0)).radius_m
         offset = self.graph.xy - self.graph.xy[fault.vertex]
         zone = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) <= radius_m)
-        inside = tuple(i for i, body in enumerate(self._bodies) if np.isin(body.touched, zone).any())
-        return inside, tuple(zone.tolist())
+        inside = tuple(i for i, body in numbered(self._bodies) if np.isin(body.touched, zone).any())
+        return inside, tuple(map(Vertex, zone.tolist()))
 
-    def _begin_on(self, i: int, fault: Fault) -> None:
+    def _begin_on(self, i: AgvNumber, fault: Fault) -> None:
         body, config = self._bodies[i], self._config
         if fault.kind == "slow":
             body.slow = (config.slow or Slow(per_h=0)).share
@@ -360,7 +364,7 @@ class FaultyPlant:
             if fault.kind == "breakdown":
                 self._couple(fault.agv)
 
-    def _end_on(self, i: int, fault: Fault) -> None:
+    def _end_on(self, i: AgvNumber, fault: Fault) -> None:
         body = self._bodies[i]
         if fault.kind == "slow":
             body.slow = 1.0
@@ -379,14 +383,14 @@ class FaultyPlant:
         """AGVs stop before closed places that they were allowed to enter, and go on when these are free again."""
         if not self._closed and not self._braked:
             return
-        now = {i: body.next for i, body in enumerate(self._bodies) if body.next in self._closed}
+        now = {i: body.next for i, body in numbered(self._bodies) if body.next in self._closed}
         for i in self._braked.keys() - now.keys():
             self._hold(i, False)
         for i in now.keys() - self._braked.keys():
             self._hold(i, True)
         self._braked = now
 
-    def _couple(self, i: int) -> None:
+    def _couple(self, i: AgvNumber) -> None:
         """The tow has come; another breakdown under tow needs no second one."""
         if i in self._towed:
             return

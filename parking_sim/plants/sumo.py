@@ -25,7 +25,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from controller.types import Act, Action, Advance, AgvState, CallForward, Command, DriveOff, HandOver
+from controller.types import (
+    Act,
+    Action,
+    Advance,
+    AgvNumber,
+    AgvState,
+    CallForward,
+    Command,
+    DriveOff,
+    HandOver,
+    RequestNumber,
+)
 from parking_sim.footprint import Bodies
 from parking_sim.plants import AgvSample, PlantEvent
 from parking_sim.plants.sumo_agv import AgvType, sumo_motion
@@ -34,6 +45,7 @@ from parking_sim.plants.sumo_customers import Customers, StreetState
 from parking_sim.plants.sumo_files import EMPTY, LOADED, agv_name, output_options, write_run
 from parking_sim.plants.sumo_lanes import Lanes, Progress
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import NO_EDGE, EdgeIndex, Numbered, NumberedList, Vertex, numbered, numbers
 
 if TYPE_CHECKING:
     from sumo_nets.read import GarageNet
@@ -86,7 +98,7 @@ class SumoPlant:
     def __init__(
         self,
         garage: GarageNet,
-        starts: Sequence[int],
+        starts: Numbered[AgvNumber, Vertex],
         agv_type: AgvType,
         seed: int,
         step_s: float = 0.5,
@@ -102,7 +114,7 @@ class SumoPlant:
         self._step = 0
         self._meeting: frozenset[tuple[str, str]] = frozenset()
         self._due = 0  # step at which the next action ends
-        self._routes: set[tuple[int, ...]] = set()
+        self._routes: set[tuple[EdgeIndex, ...]] = set()
         self._temporary = tempfile.TemporaryDirectory() if outputs is None else None
         folder = Path(self._temporary.name) if self._temporary else Path(outputs or ".")
         first_edges = _start_edges(garage.graph, starts)
@@ -125,7 +137,9 @@ class SumoPlant:
             self._api.start([*command, "--start", "--quit-on-end"] if gui else command)
             self._open = True
             self._read_lanes(garage)
-            self._agvs = [_Agv(agv_name(i), Progress(e, self._lanes)) for i, e in enumerate(first_edges)]
+            self._agvs: Numbered[AgvNumber, _Agv] = [
+                _Agv(agv_name(i), Progress(e, self._lanes)) for i, e in numbered(first_edges)
+            ]
             self._customers = Customers(self._api, garage)
             self._stand()
         except (*self._errors, OSError) as error:
@@ -142,7 +156,7 @@ class SumoPlant:
         """Simulated seconds since SUMO's start."""
         return self._step * self.motion.step_s
 
-    def states(self) -> Sequence[AgvState]:
+    def states(self) -> Numbered[AgvNumber, AgvState]:
         """One state for each AGV, in their order."""
         return self._states
 
@@ -150,7 +164,7 @@ class SumoPlant:
         """What happened with customers' cars in the last step."""
         return self._customers.events
 
-    def arrive(self, request: int) -> None:
+    def arrive(self, request: RequestNumber) -> None:
         """A customer comes and joins the queue in the street, or the backlog before it when the street is full.
 
         Raises:
@@ -212,7 +226,7 @@ class SumoPlant:
                 i, x - half[i] * math.cos(angle), y - half[i] * math.sin(angle), _half_turn(math.degrees(angle)),
                 speed(self._agvs[i].name) if i in self._moving else 0.0,
             )
-            for i, (x, y, angle) in enumerate(fronts)
+            for i, (x, y, angle) in zip(numbers(self._agvs), fronts, strict=True)
         ]  # fmt: skip
 
     def close(self) -> None:
@@ -238,7 +252,7 @@ class SumoPlant:
 
     # ------------------------------------------------------------------ faults
 
-    def hold(self, agv: int, held: bool) -> None:
+    def hold(self, agv: AgvNumber, held: bool) -> None:
         """Brake an AGV to a stand and stop what it does, or let it go on.
 
         Raises:
@@ -247,7 +261,7 @@ class SumoPlant:
         (self._held.add if held else self._held.discard)(agv)
         self._guard(lambda: self._api.vehicle.setSpeed(self._agvs[agv].name, 0.0 if held else -1.0))
 
-    def limit(self, agv: int, share: float) -> None:
+    def limit(self, agv: AgvNumber, share: float) -> None:
         """Let an AGV drive at a share of its top speed from now on.
 
         Raises:
@@ -256,7 +270,7 @@ class SumoPlant:
         self._agvs[agv].share = share
         self._guard(lambda: self._set_speed(agv))
 
-    def set_soc(self, agv: int, soc: float) -> None:
+    def set_soc(self, agv: AgvNumber, soc: float) -> None:
         """Set the state of charge of an AGV's battery, 0 to 1.
 
         Raises:
@@ -282,11 +296,11 @@ class SumoPlant:
         self._x, self._y, self._angle = self._place
         self._loaded = np.zeros(n, dtype=np.bool_)
         self._length, self._width = np.full(n, self.agv_type.length_m), np.full(n, self.agv_type.width_m)
-        self._moving: set[int] = set()
-        self._waiting: set[int] = set()
-        self._actions: dict[int, int] = {}
-        self._held: set[int] = set()
-        self._states = [AgvState(i, 0, 0, True, 1.0) for i in range(n)]
+        self._moving: set[AgvNumber] = set()
+        self._waiting: set[AgvNumber] = set()
+        self._actions: dict[AgvNumber, int] = {}
+        self._held: set[AgvNumber] = set()
+        self._states: NumberedList[AgvNumber, AgvState] = [AgvState(i, 0, 0, True, 1.0) for i in numbers(self._agvs)]
         vehicle = self._api.vehicle
         for _ in range(START_STEPS):
             self._api.simulationStep()
@@ -295,7 +309,7 @@ class SumoPlant:
                 break
         else:
             raise PlantError("SUMO could not put all AGVs on their start vertices")
-        for i in range(n):
+        for i in numbers(self._agvs):
             self._keep(i)
 
     # ------------------------------------------------------------------ reading
@@ -324,30 +338,30 @@ class SumoPlant:
             a.stopped = bool(self._api.vehicle.getStopState(a.name) & _STOPPED)
         return a.stopped
 
-    def _keep(self, i: int) -> None:
+    def _keep(self, i: AgvNumber) -> None:
         """Where it is, for the footprint check and the trajectory; SUMO counts degrees clockwise from north."""
         vehicle, name = self._api.vehicle, self._agvs[i].name
         self._x[i], self._y[i] = vehicle.getPosition(name)
         self._angle[i] = math.radians(90.0 - vehicle.getAngle(name))
 
-    def _report(self, i: int, standing: bool) -> None:
+    def _report(self, i: AgvNumber, standing: bool) -> None:
         a, old = self._agvs[i], self._states[i]
         reached, left = a.progress.reached, a.progress.left
         if reached != old.reached or left != old.left or standing != old.standing or a.soc != old.soc:
             self._states[i] = AgvState(i, reached, left, standing, a.soc)
 
-    def _rest(self, i: int) -> None:
+    def _rest(self, i: AgvNumber) -> None:
         """It has come to a stand at the end of its authority: no need to look at it until it is told something."""
         self._moving.discard(i)
         self._read_battery(i)
         self._report(i, self._agvs[i].acting is None)
 
-    def _read_battery(self, i: int) -> None:
+    def _read_battery(self, i: AgvNumber) -> None:
         charge = self._api.vehicle.getParameter(self._agvs[i].name, "device.battery.chargeLevel")
         self._agvs[i].soc = float(charge) / self.agv_type.battery_wh
 
     def _read_batteries(self) -> None:
-        for i, state in enumerate(self._states):
+        for i, state in numbered(self._states):
             self._read_battery(i)
             self._report(i, state.standing)
 
@@ -369,18 +383,18 @@ class SumoPlant:
         progress = a.progress
         for vertex in command.vertices:
             last = progress.edges[-1]
-            edge = self.graph.edge_index.get((int(self.graph.head[last]), vertex), -1)
+            here, names = self.graph.ends[last][1], self.graph.names
+            edge = self.graph.edge_index.get((here, vertex), NO_EDGE)
             if edge < 0:
-                names = self.graph.names
-                raise PlantError(f"no edge from {names[self.graph.head[last]]} to {names[vertex]} for AGV {i}")
+                raise PlantError(f"no edge from {names[here]} to {names[vertex]} for AGV {i}")
             if edge == self.graph.reverse[last] and not (a.stopped and progress.k == len(progress.edges) - 1):
-                raise PlantError(f"AGV {i} cannot reverse at {self.graph.names[self.graph.head[last]]} while it drives")
+                raise PlantError(f"AGV {i} cannot reverse at {names[here]} while it drives")
             progress.grant(edge)
         a.pending = True
         self._waiting.add(i)
         self._report(i, False)
 
-    def _extend(self, i: int) -> None:
+    def _extend(self, i: AgvNumber) -> None:
         """Extend route and stop to what is granted; on a junction or during an action it waits for a later step."""
         a = self._agvs[i]
         if a.progress.on_junction or a.acting is not None:
@@ -431,13 +445,13 @@ class SumoPlant:
             self._report(i, not a.pending)
         self._due = min(self._actions.values(), default=0)
 
-    def _load(self, i: int, loaded: bool) -> None:
+    def _load(self, i: AgvNumber, loaded: bool) -> None:
         self._loaded[i] = loaded
         self._api.vehicle.setType(self._agvs[i].name, LOADED if loaded else EMPTY)
         if self._agvs[i].share != 1.0:
             self._set_speed(i)
 
-    def _set_speed(self, i: int) -> None:
+    def _set_speed(self, i: AgvNumber) -> None:
         a = self._agvs[i]
         self._api.vehicle.setMaxSpeed(a.name, self.agv_type.speed_mps(bool(self._loaded[i])) * a.share)
 
@@ -450,11 +464,11 @@ class SumoPlant:
             self._customers.drive_off(command.request)
 
 
-def _start_edges(graph: Graph, starts: Sequence[int]) -> list[int]:
+def _start_edges(graph: Graph, starts: Numbered[AgvNumber, Vertex]) -> Numbered[AgvNumber, EdgeIndex]:
     """An edge into each start vertex, no two of them the two directions of one lane."""
-    edges: list[int] = []
+    edges: list[EdgeIndex] = []
     for vertex in starts:
-        into = [int(e) for e in np.flatnonzero(graph.head == vertex) if graph.reverse[e] not in edges]
+        into = [e for e in graph.in_edges(vertex) if graph.reverse[e] not in edges]
         if not into:
             raise PlantError(f"no edge leads to {graph.names[vertex]}: an AGV cannot start there")
         edges.append(into[0])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from parking_sim.plants.sumo_agv import AgvType
 from sumo_nets.bodies import clear_of_ways, ways_past
 from sumo_nets.graph import FloatArray
+from sumo_nets.numbering import EdgeIndex, Numbered, Vertex, numbered
 from sumo_nets.read import GarageNet
 
 #: Room beside a body that crosses behind the rear.
@@ -17,8 +17,8 @@ REAR_MARGIN_M = 0.05
 
 
 def rear_clearances(
-    garage: GarageNet, agv_type: AgvType, lane_m: Sequence[float], before_m: Sequence[float]
-) -> list[float]:
+    garage: GarageNet, agv_type: AgvType, lane_m: Numbered[EdgeIndex, float], before_m: Numbered[EdgeIndex, float]
+) -> Numbered[EdgeIndex, float]:
     """For each edge how far a rear must be from its tail vertex to be out of everybody's way there.
 
     Half a body's width, and on a spur with a bend the whole slanted part: two slots share one vertex, and the body of
@@ -35,16 +35,15 @@ def rear_clearances(
         Metres from the centre of the tail vertex, by edge.
     """
     graph = garage.graph
-    into: list[list[int]] = [[] for _ in graph.names]
-    for f, head in enumerate(graph.head.tolist()):
+    into: Numbered[Vertex, list[EdgeIndex]] = [[] for _ in graph.names]
+    for f, (_, head) in numbered(graph.ends):
         into[head].append(f)
     clear = []
-    for e, (tail, head) in enumerate(zip(graph.tail.tolist(), graph.head.tolist(), strict=True)):
+    for e, (tail, head) in numbered(graph.ends):
         here = graph.xy[tail]
-        out = range(int(graph.first_out[tail]), int(graph.first_out[tail + 1]))
         own = _line(np.vstack((here, garage.shapes[e])), here)
         entering = tuple(_line(garage.shapes[f], here) for f in into[tail] if graph.tail[f] != head)
-        leaving = tuple(_line(garage.shapes[g], here) for g in out if g != e)
+        leaving = tuple(_line(garage.shapes[g], here) for g in graph.out_edges(tail) if g != e)
         least = _alone(garage.shapes[e], before_m[e], lane_m[e], agv_type)
         clear.append(_clear_m(own, entering, leaving, least, (agv_type.length_m, agv_type.width_m)))
     return clear

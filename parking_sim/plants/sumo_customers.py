@@ -19,6 +19,8 @@ from parking_sim.plants import CarAtBay, CarLeft, PlantEvent
 from parking_sim.plants.sumo_files import CUSTOMER_IN, CUSTOMER_OUT, customer_name, request_of
 
 if TYPE_CHECKING:
+    from controller.types import RequestNumber
+    from sumo_nets.numbering import Vertex
     from sumo_nets.read import BaySite, GarageNet, Street
 
 _FOREVER_S = 1e9
@@ -54,47 +56,47 @@ class Customers:
         self.events: list[PlantEvent] = []
         self._api = api
         self._street: Street | None = garage.street
-        self._sites: Mapping[int, BaySite] = garage.bay_sites
-        self._backlog: deque[int] = deque()
+        self._sites: Mapping[Vertex, BaySite] = garage.bay_sites
+        self._backlog: deque[RequestNumber] = deque()
         self._patience = 0  # steps until the entry edge is looked at again
-        self._entering: int | None = None  # offered to SUMO, not on the street yet
-        self._inside: set[int] = set()  # on the street or at an inbound place
-        self._calls: dict[int, int] = {}  # called forward to which bay, not told to SUMO yet
-        self._driving: dict[int, int] = {}  # on the way to which bay
-        self._placing: dict[int, int] = {}  # retrieved, to which bay, not at its outbound place yet
-        self._outbound: dict[int, int] = {}  # bay -> whose its outbound place is
-        self._leaving: dict[int, int] = {}  # at which bay's outbound place, or driving off it
-        self._impatient: set[int] = set()  # told to drive off before they stood in SUMO
+        self._entering: RequestNumber | None = None  # offered to SUMO, not on the street yet
+        self._inside: set[RequestNumber] = set()  # on the street or at an inbound place
+        self._calls: dict[RequestNumber, Vertex] = {}  # called forward to which bay, not told to SUMO yet
+        self._driving: dict[RequestNumber, Vertex] = {}  # on the way to which bay
+        self._placing: dict[RequestNumber, Vertex] = {}  # retrieved, to which bay, not at its outbound place yet
+        self._outbound: dict[Vertex, RequestNumber] = {}  # bay -> whose its outbound place is
+        self._leaving: dict[RequestNumber, Vertex] = {}  # at which bay's outbound place, or driving off it
+        self._impatient: set[RequestNumber] = set()  # told to drive off before they stood in SUMO
         if self._street is not None:
             api.route.add("customer_in", (self._street.entry_edge, self._street.queue_edge))
             for bay, site in self._sites.items():
                 api.route.add(f"bay_in{bay}", tuple(site.in_route))
                 api.route.add(f"bay_out{bay}", tuple(site.out_route))
 
-    def arrive(self, request: int) -> None:
+    def arrive(self, request: RequestNumber) -> None:
         """The car of a request joins the end of the line."""
         if self._street is None:
             raise self._api.TraCIException("the net has no street for customers")
         self._backlog.append(request)
 
-    def call_forward(self, request: int, bay: int) -> None:
+    def call_forward(self, request: RequestNumber, bay: Vertex) -> None:
         """Send a waiting car on to a bay, as soon as SUMO accepts it."""
         self._calls[request] = bay
 
-    def hand_over(self, request: int, bay: int) -> None:
+    def hand_over(self, request: RequestNumber, bay: Vertex) -> None:
         """A retrieved car is to stand at a bay's outbound place, as soon as the one before it has left."""
         self._placing[request] = bay
         if bay not in self._outbound:
             self._offer_place(request, bay)
 
-    def drive_off(self, request: int) -> None:
+    def drive_off(self, request: RequestNumber) -> None:
         """A retrieved car leaves its outbound place."""
         if request in self._placing:
             self._impatient.add(request)
         else:
             self._api.vehicle.resume(customer_name(request))
 
-    def take(self, request: int) -> None:
+    def take(self, request: RequestNumber) -> None:
         """An AGV has lifted a car: if it stood at a bay, it is no longer SUMO's."""
         if request in self._inside:
             self._inside.discard(request)
@@ -141,13 +143,13 @@ class Customers:
     def _on_entry(self) -> int:
         return self._api.edge.getLastStepVehicleNumber(self._street.entry_edge) if self._street else 0
 
-    def _enter(self, request: int) -> None:
+    def _enter(self, request: RequestNumber) -> None:
         assert self._street is not None
         self._entering, car = request, customer_name(request)
         self._api.vehicle.add(car, "customer_in", CUSTOMER_IN, departPos="base", departSpeed="max")
         self._api.vehicle.setStop(car, self._street.queue_edge, self._street.hold_pos_m, duration=_FOREVER_S)
 
-    def _send(self, request: int, bay: int) -> None:
+    def _send(self, request: RequestNumber, bay: Vertex) -> None:
         """Drive on from the hold line, or without stopping there; refused on a junction, so wait for the next edge."""
         assert self._street is not None
         vehicle, site, car = self._api.vehicle, self._sites[bay], customer_name(request)
@@ -165,19 +167,19 @@ class Customers:
             vehicle.setStop(car, self._street.queue_edge, self._street.hold_pos_m, duration=0.0)
         self._driving[request] = bay
 
-    def _free_place(self, request: int, bay: int) -> None:
+    def _free_place(self, request: RequestNumber, bay: Vertex) -> None:
         self.events.append(CarLeft(request, bay))
         del self._outbound[bay]
         waiting = [r for r, b in self._placing.items() if b == bay]
         if waiting:
             self._offer_place(waiting[0], bay)
 
-    def _offer_place(self, request: int, bay: int) -> None:
+    def _offer_place(self, request: RequestNumber, bay: Vertex) -> None:
         self._outbound[bay], car = request, customer_name(request)
         self._api.vehicle.add(car, f"bay_out{bay}", CUSTOMER_OUT, departPos="stop", departSpeed="0")
         self._api.vehicle.setParkingAreaStop(car, self._sites[bay].out_area, duration=_FOREVER_S)
 
-    def _stand_outbound(self, request: int) -> None:
+    def _stand_outbound(self, request: RequestNumber) -> None:
         self._leaving[request] = self._placing.pop(request)
         if request in self._impatient:
             self._impatient.discard(request)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
+from controller.types import AgvNumber, RequestNumber
 from parking_sim.plants.sumo_agv import AgvType
+from sumo_nets.numbering import Numbered, numbered
 
 if TYPE_CHECKING:
     from sumo_nets.read import GarageNet
@@ -20,23 +21,23 @@ CUSTOMER_IN, CUSTOMER_OUT = "customer_in", "customer_out"
 _COLORS = {EMPTY: "40,160,90", LOADED: "220,120,30", CUSTOMER_IN: "60,110,220", CUSTOMER_OUT: "150,80,190"}
 
 
-def agv_name(index: int) -> str:
+def agv_name(agv: AgvNumber) -> str:
     """SUMO id of an AGV."""
-    return f"agv{index}"
+    return f"agv{agv}"
 
 
-def customer_name(request: int) -> str:
+def customer_name(request: RequestNumber) -> str:
     """SUMO id of the car of one request. A car that comes back has another request, so that no two cars share an id."""
     return f"customer{request}"
 
 
-def request_of(customer: str) -> int:
+def request_of(customer: str) -> RequestNumber:
     """Number of the request whose car has this SUMO id."""
-    return int(customer.removeprefix("customer"))
+    return RequestNumber(int(customer.removeprefix("customer")))
 
 
 def write_run(
-    folder: Path, garage: GarageNet, start_edges: Sequence[str], agv_type: AgvType, seed: int, step_s: float
+    folder: Path, garage: GarageNet, start_edges: Numbered[AgvNumber, str], agv_type: AgvType, seed: int, step_s: float
 ) -> Path:
     """Write ``agvs.rou.xml`` and ``run.sumocfg``.
 
@@ -57,7 +58,7 @@ def write_run(
     folder.mkdir(parents=True, exist_ok=True)
     lines = ["<routes>", _agv_type(EMPTY, agv_type, False), _agv_type(LOADED, agv_type, True)]
     lines += [_customer_type(CUSTOMER_IN), _customer_type(CUSTOMER_OUT)]
-    for i, edge in enumerate(start_edges):
+    for i, edge in numbered(start_edges):
         lines.append(
             f'    <vehicle id="{agv_name(i)}" type="{EMPTY}" depart="0" departPos="last" departSpeed="0">\n'
             f'        <route edges={quoteattr(edge)}/>\n        <stop lane={quoteattr(edge + "_0")} duration="1e9"/>\n'

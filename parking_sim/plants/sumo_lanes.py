@@ -6,11 +6,11 @@ An AGV's place counts in edges and in granted vertices: edge number k ends at gr
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from parking_sim.plants.sumo_agv import AgvType
 from parking_sim.plants.sumo_api import PlantError
 from parking_sim.plants.sumo_clearance import rear_clearances
+from sumo_nets.numbering import EdgeIndex, Numbered
 from sumo_nets.read import GarageNet
 
 #: An AGV this close to the end of its lane may have stopped there.
@@ -39,14 +39,17 @@ class Lanes:
         PlantError: an edge is too short for an AGV to stand clear of the vertex behind it.
     """
 
-    def __init__(self, garage: GarageNet, agv_type: AgvType, length_m: Sequence[float], step_s: float) -> None:
+    def __init__(
+        self, garage: GarageNet, agv_type: AgvType, length_m: Numbered[EdgeIndex, float], step_s: float
+    ) -> None:
         graph = garage.graph
-        self.names, self.length_m, self.body_m = graph.edge_names, length_m, agv_type.length_m
+        self.names: Numbered[EdgeIndex, str] = graph.edge_names
+        self.length_m, self.body_m = length_m, agv_type.length_m
         self.reach_m = max(agv_type.empty_mps, agv_type.loaded_mps) * step_s + NEAR_END_M
-        self.before_m = [
+        self.before_m: Numbered[EdgeIndex, float] = [
             math.dist(shape[0], graph.xy[tail]) for shape, tail in zip(garage.shapes, graph.tail, strict=True)
         ]
-        self.pitch_m = [
+        self.pitch_m: Numbered[EdgeIndex, float] = [
             before + lane + math.dist(shape[-1], graph.xy[head])
             for before, lane, shape, head in zip(self.before_m, length_m, garage.shapes, graph.head, strict=True)
         ]
@@ -74,7 +77,7 @@ class Progress:
 
     __slots__ = ("_at_m", "_lanes", "_rear_m", "_road", "edges", "k", "left", "near_end", "on_junction", "reached")
 
-    def __init__(self, edge: int, lanes: Lanes) -> None:
+    def __init__(self, edge: EdgeIndex, lanes: Lanes) -> None:
         self._lanes = lanes
         self.edges = [edge]
         self.k = self.reached = self.left = 0
@@ -85,7 +88,7 @@ class Progress:
         # where the rear is on that scale when the lane position is 0: the lane begins one pitch before the start vertex
         self._rear_m = lanes.before_m[edge] - lanes.pitch_m[edge] - lanes.body_m
 
-    def grant(self, edge: int) -> None:
+    def grant(self, edge: EdgeIndex) -> None:
         """One edge more."""
         self.edges.append(edge)
         self._at_m.append(self._at_m[-1] + self._lanes.pitch_m[edge])

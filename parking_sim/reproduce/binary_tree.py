@@ -24,6 +24,7 @@ from parking_sim.reproduce.published import published
 from parking_sim.reproduce.statistics import wilson
 from sumo_nets.floors import ForkFloor, one_way_lattice
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import Vertex
 from sumo_nets.read import read_net
 
 FULL_QUERIES, QUICK_QUERIES, TEN = 1000, 150, 10
@@ -75,10 +76,10 @@ def run_queries(name: str, graph: Graph, count: int, seed: int = 1) -> pd.DataFr
         and of the exact shortest one, and milliseconds of CPU time for both searches.
     """
     tree, rng = compile_tree(graph), np.random.default_rng(seed)
-    find_route(tree, 0, 1)  # compiled before anything is timed
+    find_route(tree, graph.vertices[0], graph.vertices[1])  # compiled before anything is timed
     rows: list[tuple[str, str, str, int, int, float, float, float]] = []
     while len(rows) < count:
-        start, goal = (int(v) for v in rng.choice(len(graph.names), 2, replace=False))
+        start, goal = (Vertex(int(v)) for v in rng.choice(len(graph.names), 2, replace=False))
         best = shortest_route(graph, start, goal)
         began = process_time()
         found = find_route(tree, start, goal)

@@ -15,12 +15,14 @@ from dataclasses import dataclass, field
 from itertools import combinations, pairwise
 
 import numpy as np
+from numpy.random import Generator
 
 from controller.planners.online_mapf import OnlineMapfOptions, current_goals, make_online_mapf
 from controller.planning import TRAIL
-from controller.types import FOREVER, Motion, Path, PlanAgent, PlanningProblem, make_motion
+from controller.types import FOREVER, AgvNumber, Motion, Path, PlanAgent, PlanningProblem, make_motion
 from demand.types import stream
 from sumo_nets.graph import Graph, make_graph
+from sumo_nets.numbering import NO_EDGE, NO_VERTEX, EdgeIndex, Numbered, Vertex
 from sumo_nets.one_line import OneLine, one_line_layout
 from sumo_nets.plan import plan_garage
 
@@ -109,13 +111,13 @@ class _Robot:
         arrivals: at final goals.
     """
 
-    number: int
-    at: int
-    final: int = -1
-    goal: int = -1
-    behind: int = -1
-    in_edge: int = -1
-    ways: deque[int] = field(default_factory=deque)
+    number: AgvNumber
+    at: Vertex
+    final: Vertex = NO_VERTEX
+    goal: Vertex = NO_VERTEX
+    behind: Vertex = NO_VERTEX
+    in_edge: EdgeIndex = NO_EDGE
+    ways: deque[Vertex] = field(default_factory=deque)
     over: int = 0
     expected: int = 0
     arrivals: int = 0
@@ -135,11 +137,13 @@ class OneLineRun:
         self._setting, self._graph, self._motion = setting, graph, motion
         self._replanning = replanning
         self._planner = make_online_mapf(graph, motion, OnlineMapfOptions(permutations=setting.permutations))
-        self._noise = [stream(seed, f"one line {n}") for n in range(setting.line.robots)]
+        self._noise: Numbered[AgvNumber, Generator] = [
+            stream(seed, f"one line {n}") for n in range(setting.line.robots)
+        ]
         self._refuges = graph.roles["refuge"]
         self._unloading = self._refuges[: 2 * setting.line.unloading]
         self._none = np.zeros(len(graph.names), dtype=np.uint8)
-        self._robots = [_Robot(n, home) for n, home in enumerate(graph.homes)]
+        self._robots: Numbered[AgvNumber, _Robot] = [_Robot(AgvNumber(n), home) for n, home in enumerate(graph.homes)]
         self._owner = {robot.at: robot.number for robot in self._robots}
         self._step = 0
         self._planned = 0
@@ -194,7 +198,7 @@ class OneLineRun:
 
     # --- planning -------------------------------------------------------------------------------------------------
 
-    def _plan(self, news: set[int]) -> None:
+    def _plan(self, news: set[AgvNumber]) -> None:
         """Plan at the events: for who arrived or has no path, and for those who would meet."""
         due = (self._step - self._planned) * STEP_S >= self._setting.timeout_s or not self._driving()
         if news or due:
@@ -209,7 +213,7 @@ class OneLineRun:
         if self._solve(agents | meeting) and meeting:
             self._solve({r.number for r in self._robots})
 
-    def _solve(self, agents: set[int]) -> bool:
+    def _solve(self, agents: set[AgvNumber]) -> bool:
         """New paths for these robots round all others; True if somebody got none and stands."""
         self._plans += 1
         robots = [self._robots[n] for n in sorted(agents)]
@@ -229,7 +233,7 @@ class OneLineRun:
         """Where a robot will be when, if nothing delays it from now on."""
         ready = self._ready(robot)
         if robot.behind >= 0:
-            yield Path(TRAIL + robot.number, (robot.behind,), (0,), (), ready)
+            yield Path(AgvNumber(TRAIL + robot.number), (robot.behind,), (0,), (), ready)
         vertices, arrive, depart, in_edge = [robot.at], [0], list[int](), robot.in_edge
         for u, v in pairwise((robot.at, *robot.ways)):
             edge = self._graph.edge_index[u, v]
@@ -240,12 +244,12 @@ class OneLineRun:
             arrive.append(ready)
         yield Path(robot.number, tuple(vertices), tuple(arrive), tuple(depart))
 
-    def _meeting(self) -> set[int]:
+    def _meeting(self) -> set[AgvNumber]:
         """Robots that would meet within the look-ahead."""
         soon = round(self._setting.look_ahead_s / STEP_S)
         stays = {r.number: list(_stays(path)) for r in self._robots for path in self._ahead(r) if path.agv < TRAIL}
         driving = {r.number for r in self._robots if r.ways}
-        found: set[int] = set()
+        found: set[AgvNumber] = set()
         for a, b in combinations(self._robots, 2):
             if driving & {a.number, b.number} and _meet(stays[a.number], stays[b.number], soon):
                 found |= {a.number, b.number}
@@ -265,13 +269,13 @@ class OneLineRun:
                 robot.expected, robot.over = self._step + steps, self._step + max(1, round(steps * factor))
                 self._owner[to] = robot.number
 
-    def _end_moves(self) -> set[int]:
+    def _end_moves(self) -> set[AgvNumber]:
         """Robots that have arrived where they wanted to go now."""
         arrived = set()
         for robot in self._robots:
             if robot.behind >= 0 and robot.over <= self._step:
                 del self._owner[robot.behind]
-                robot.behind = -1
+                robot.behind = NO_VERTEX
                 if robot.at == robot.final and not robot.ways and self._under_way(robot):
                     robot.arrivals += 1
                     if self._under_way(robot):
@@ -281,16 +285,16 @@ class OneLineRun:
         return arrived
 
 
-def _stays(path: Path) -> Iterator[tuple[int, int, int]]:
+def _stays(path: Path) -> Iterator[tuple[Vertex, int, int]]:
     """Cell, from, until of a path."""
     ends = [*path.arrive[1:], path.until]
     for i, v in enumerate(path.vertices):
         yield v, 0 if i == 0 else path.depart[i - 1], ends[i]
 
 
-def _meet(a: Sequence[tuple[int, int, int]], b: Sequence[tuple[int, int, int]], soon: int) -> bool:
+def _meet(a: Sequence[tuple[Vertex, int, int]], b: Sequence[tuple[Vertex, int, int]], soon: int) -> bool:
     """Both are on one cell at one time, within ``soon`` steps."""
-    cells: Mapping[int, list[tuple[int, int]]] = {v: [] for v, _, _ in a}
+    cells: Mapping[Vertex, list[tuple[int, int]]] = {v: [] for v, _, _ in a}
     for v, start, end in a:
         cells[v].append((start, end))
     return any(max(start, begin) < min(end, until, soon) for v, begin, until in b for start, end in cells.get(v, ()))
