@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from parking_sim import planner_check, routes, studies
-from parking_sim.errors import InputError
+from parking_sim.errors import InputError, RunFailedError
 from parking_sim.folders import check_folder
 from parking_sim.reproduce import app as reproduce_app
 
@@ -81,6 +81,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except _input_errors() as error:
         _complain(str(error))
         code = BAD_INPUT
+    except RunFailedError as error:
+        _complain(str(error))
+        code = UNFINISHED
     raise SystemExit(code)
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -25,8 +25,8 @@ from pathlib import Path
 from analysis.measures import Interval, interval
 from analysis.variants import variant_of
 from parking_sim.config import Scenario
-from parking_sim.errors import InputError
-from parking_sim.sweep import RunFailedError, Tell, open_folder, run_folder, run_missing, write_plan
+from parking_sim.errors import InputError, RunFailedError
+from parking_sim.sweep import Tell, open_folder, run_folder, run_missing, write_plan
 from parking_sim.sweep_plan import RunSpec, make_runs
 
 #: Seeds after which a number is looked at.
@@ -171,8 +171,10 @@ def size_garage(
     executor: Executor,
     looks: Sequence[int] = LOOKS,
     tell: Tell | None = None,
-) -> list[Sizing]:
+) -> Iterator[Sizing]:
     """Find the smallest fleet of a scenario that meets a target, then the fewest bays and chargers with which it does.
+
+    An answer is given as soon as it is found: what goes wrong with bays or chargers takes nothing from the fleet's.
 
     Args:
         scenario: what to run; what is sized and the seed are replaced.
@@ -183,8 +185,8 @@ def size_garage(
         looks: numbers of seeds after which a number is looked at.
         tell: called with the progress of the runs asked for so far.
 
-    Returns:
-        An answer for each; only the first if none meets the target.
+    Yields:
+        An answer for each; none after one that meets the target with no number.
 
     Raises:
         InputError: the folder can't be used, or the scenario does not fit its garage.
@@ -200,14 +202,13 @@ def size_garage(
         write_plan(sorted(known.values(), key=lambda spec: [spec.variant.shown[key] for key in most]), folder)
         return measure_specs(specs, target.key, folder, executor, tell)
 
-    answers: list[Sizing] = []
+    given: dict[str, int] = {}
     for what, limit in most.items():
         found = find_least(target, limit, partial(measure, what), looks)
-        answers.append(replace(found, what=what, given={sized.what: settings[sized.what] for sized in answers}))
+        yield replace(found, what=what, given=dict(given))
         if found.number is None:
-            break
-        settings[what] = found.number
-    return answers
+            return
+        settings[what] = given[what] = found.number
 
 
 def measure_specs(
@@ -226,6 +227,7 @@ def measure_specs(
         The measure of each run, in their order; NaN where there was nothing to measure.
 
     Raises:
+        InputError: a scenario does not fit its garage.
         RunFailedError: a run failed twice.
     """
     from analysis.measures import measure_runs
@@ -233,8 +235,10 @@ def measure_specs(
 
     failures = run_missing(specs, folder, executor, tell)
     if failures:
-        failed = failures[0].spec.scenario
-        raise RunFailedError(f"{failed.agvs} AGVs, seed {failed.seed}: {failures[0].error}")
+        first = failures[0]
+        raise (InputError if first.is_input else RunFailedError)(
+            f"{first.spec.variant.name}, seed {first.spec.scenario.seed}: {first.error}"
+        )
     runs = Runs({spec.key: run_folder(spec, folder) for spec in specs})
     return [float(value) for value in measure_runs(runs)[key]]
 

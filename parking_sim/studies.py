@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -65,6 +66,7 @@ def compare(
     from analysis.compare import compare as compare_runs
     from analysis.measures import MEASURES
 
+    _check_finite({"--warmup": warmup})
     for key in measure or ():
         if key not in MEASURES:
             raise InputError(f"--measure: {key!r}: give one of {', '.join(MEASURES)}")
@@ -110,14 +112,16 @@ def size(
     where = _where(name, base)
     folder = out or Path("runs") / f"size-{name}-{profile or 'own'}".replace("/", "-")
     looks = (*(look for look in LOOKS if look < max_seeds), max_seeds)
-    with open_executor(workers, scheduler) as executor, SweepBar(quiet) as bar:
-        found = size_garage(base, wanted, most, folder, executor, looks, bar.update)
-    sentences = [answer(sizing, where) for sizing in found]
-    for sizing, sentence in zip(found, sentences, strict=True):
-        _print_table(_sizing_rows(sizing), where)
-        print(sentence)
-    _keep_sizing(found, sentences, folder, report, quiet)
-    raise typer.Exit(0 if found[0].number else _UNFINISHED)
+    answers: list[tuple[Sizing, str]] = []
+    try:
+        with open_executor(workers, scheduler) as executor, SweepBar(quiet) as bar:
+            for sizing in size_garage(base, wanted, most, folder, executor, looks, bar.update):
+                answers.append((sizing, answer(sizing, where)))
+                _keep_sizing(answers, folder)
+    finally:  # an answer that was found is told, whatever happens to the next one
+        if answers:
+            _tell_sizing(answers, where, folder, report, quiet)
+    raise typer.Exit(0 if answers[0][0].number else _UNFINISHED)
 
 
 def tune(
@@ -135,14 +139,12 @@ def tune(
 ) -> None:
     """Tune parameters of the controller with optuna, on the same seeds for every setting."""
     from analysis.variants import label
-    from parking_sim.config import load_scenario
     from parking_sim.executors import open_executor
     from parking_sim.sweep_plan import parse_seeds
     from parking_sim.tuning import parse_ranges, tune_scenario
 
     name = Path(scenario).name.split(".")[0]
     folder = out or Path("runs") / f"tune-{name}"
-    load_scenario(scenario)
     with open_executor(workers, scheduler) as executor:
         results = tune_scenario(
             scenario, parse_ranges(vary), measure, trials, parse_seeds(seeds, "--seeds"), folder, executor
@@ -204,24 +206,29 @@ def _scenario_to_size(
     source: str, planner: str | None, profile: str | None, stretch: tuple[float | None, float, float], limit_s: float
 ) -> Scenario:
     """The scenario with the hours of a profile; it goes on for the target's limit after the last request."""
-    from demand.profile_traffic import ProfileTraffic
     from demand.profiles import find_profile
-    from parking_sim.config import load_scenario
+    from parking_sim.config import load_scenario, scenario_keys
 
-    base = load_scenario(source, {"planner": planner} if planner is not None else {})
-    if profile is None:
-        return base
-    start, hours, scale = stretch
-    found = find_profile(profile)
-    hours = min(hours, found.hours[-1] - found.hours[0])
-    begin = found.busiest(hours) if start is None else start
-    name = profile if profile == Path(profile).name and not Path(profile).is_file() else str(Path(profile).resolve())
-    traffic = ProfileTraffic(name=name, start_h=begin, hours=hours, scale=scale)
-    return base.model_copy(update={"workload": traffic, "duration_s": 3600 * hours + limit_s})
+    keys, _ = scenario_keys(source)
+    given: dict[str, object] = {} if "agvs" in keys else {"agvs": 1}  # what is sized need not be known
+    if planner is not None:
+        given["planner"] = planner
+    if profile is not None:
+        start, hours, scale = stretch
+        _check_finite({"--start": start, "--hours": hours, "--scale": scale})
+        found = find_profile(profile)
+        hours = min(hours, found.hours[-1] - found.hours[0])
+        begin = found.busiest(hours) if start is None else start
+        own = profile != Path(profile).name or Path(profile).is_file()
+        name = str(Path(profile).resolve()) if own else profile
+        given["workload"] = {"kind": "profile", "name": name, "start_h": begin, "hours": hours, "scale": scale}
+        given["duration_s"] = 3600 * hours + limit_s
+    return load_scenario(source, given)
 
 
 def _most(scenario: Scenario, name: str, max_agvs: int | None, also: str) -> dict[str, int]:
-    """What to size, in order, and the greatest number of each."""
+    """What to size, in order, and the greatest number of each, with which the scenario fits its garage."""
+    from parking_sim.assembly import assemble
     from sumo_nets.read import read_net
 
     net = read_net(scenario.garage_source)
@@ -236,7 +243,14 @@ def _most(scenario: Scenario, name: str, max_agvs: int | None, also: str) -> dic
         if not there[what]:
             raise InputError(f"--also: {what}: {name} has none")
         most[what] = there[what]
+    assemble(scenario.model_copy(update=dict(most)))
     return most
+
+
+def _check_finite(options: Mapping[str, float | None]) -> None:
+    for option, value in options.items():
+        if value is not None and not math.isfinite(value):
+            raise InputError(f"{option}: {value}: give a finite number")
 
 
 def _where(name: str, scenario: Scenario) -> str:
@@ -270,12 +284,11 @@ def _sizing_rows(sizing: Sizing) -> list[dict[str, str]]:
     ]
 
 
-def _keep_sizing(found: Sequence[Sizing], sentences: Sequence[str], folder: Path, report: bool, quiet: bool) -> None:
-    """The answers as JSON, the curves as pictures, and the report."""
-    from analysis.size_curve import size_curve, write_curve
+def _keep_sizing(answers: Sequence[tuple[Sizing, str]], folder: Path) -> None:
+    """The answers so far as JSON."""
     from parking_sim.record import write_json
 
-    target = found[0].target
+    target = answers[0][0].target
     sized = [
         {
             "what": sizing.what,
@@ -283,17 +296,27 @@ def _keep_sizing(found: Sequence[Sizing], sentences: Sequence[str], folder: Path
             "answer": sentence,
             "tried": [{"number": t.number, "meets": t.meets, "values_s": t.values} for t in sizing.tried],
         }
-        for sizing, sentence in zip(found, sentences, strict=True)
+        for sizing, sentence in answers
     ]
     asked = {"words": target.words, "measure": target.key, "limit_s": target.limit_s}
     write_json(folder / "sizing.json", {"target": asked, "sized": sized})
-    curves = [size_curve(sizing) for sizing in found]
-    for sizing, curve in zip(found, curves, strict=True):
+
+
+def _tell_sizing(answers: Sequence[tuple[Sizing, str]], where: str, folder: Path, report: bool, quiet: bool) -> None:
+    """The answers on the terminal, as curves and as a report."""
+    from analysis.size_curve import size_curve, write_curve
+
+    curves = []
+    for sizing, sentence in answers:
+        _print_table(_sizing_rows(sizing), where)
+        print(sentence)
+    for sizing, _ in answers:
+        curves.append(size_curve(sizing))
         path = folder / f"curve-{sizing.what}.svg"
-        write_curve(curve, path)
+        write_curve(curves[-1], path)
         _say(quiet, f"curve: {path}")
     if report:
-        _report(folder, quiet, sentences, curves)
+        _report(folder, quiet, [sentence for _, sentence in answers], curves)
 
 
 def _report(folder: Path, quiet: bool, answers: Sequence[str] = (), drawings: Sequence[Drawing] = ()) -> None:
@@ -327,7 +350,7 @@ def _print_table(rows: Sequence[Mapping[str, str]], title: str) -> None:
         table.add_column(heading, justify="right")
     for row in rows:
         table.add_row(*row.values())
-    Console().print(table)
+    Console(markup=False, highlight=False, emoji=False).print(table)  # names are the user's
 
 
 def _say(quiet: bool, text: str) -> None:

@@ -19,7 +19,7 @@ from pathlib import Path
 from time import perf_counter
 
 from parking_sim.config import Scenario
-from parking_sim.errors import InputError
+from parking_sim.errors import InputError, RunFailedError
 from parking_sim.folders import check_path
 from parking_sim.sweep_plan import RunSpec, code_version
 
@@ -30,10 +30,6 @@ _LAST_FILE = "metrics.json"
 _PART = ".part-"
 _TELL_S = 0.5
 _one_at_a_time = threading.Lock()
-
-
-class RunFailedError(RuntimeError):
-    """A run that ended without a record, with the reason in one line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +49,17 @@ class SweepProgress:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """A run that was given up, and why."""
+    """A run that was given up, and why.
+
+    Attributes:
+        spec: the run.
+        error: what went wrong, in one line.
+        is_input: the scenario does not fit its garage, so that trying again would not help.
+    """
 
     spec: RunSpec
     error: str
+    is_input: bool
 
 
 Tell = Callable[[SweepProgress], None]
@@ -161,7 +164,7 @@ def run_missing(specs: Sequence[RunSpec], folder: Path, executor: Executor, tell
             if error is not None and attempt == 1 and not isinstance(error, InputError):
                 start(spec, 2)
             elif error is not None and not is_done(spec, folder):
-                failures.append(Failure(spec, _one_line(error)))
+                failures.append(Failure(spec, _one_line(error), isinstance(error, InputError)))
                 _write_failures(failures, folder)
     finally:
         for future in running:

@@ -15,7 +15,8 @@ from typing import Any
 
 from analysis.measures import MEASURES, Interval, interval
 from analysis.variants import variant_of
-from parking_sim.config import check_scenario, scenario_keys
+from parking_sim.assembly import assemble
+from parking_sim.config import Scenario, check_scenario, scenario_keys
 from parking_sim.errors import InputError
 from parking_sim.sizing import measure_specs
 from parking_sim.sweep import open_folder, write_plan
@@ -59,8 +60,10 @@ def parse_ranges(texts: Sequence[str]) -> dict[str, Range]:
             found = Range(float(low), float(high), "." not in low + high)
         except ValueError:
             found = Range(math.nan, math.nan, False)
-        if not dots or not found.low < found.high:
+        if not dots or not -math.inf < found.low < found.high < math.inf:
             raise InputError(f"--vary: {text!r}: give such as control.period_s=2..10")
+        if key == "seed":
+            raise InputError(f"--vary: {text!r}: give the seeds of all settings as --seeds 1..5")
         ranges[key] = found
     return ranges
 
@@ -102,14 +105,20 @@ def tune_scenario(
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     lower = MEASURES[measure].lower_is_better
     keys, base_dir = scenario_keys(source)
+
+    def scenario_with(values: Mapping[str, float]) -> Scenario:
+        return check_scenario(set_keys(keys, values, source), source, base_dir.resolve())
+
+    for end in ("low", "high"):  # what does not fit is seen before anything is written
+        ends = {key: getattr(span, end) for key, span in ranges.items()}
+        assemble(scenario_with({key: int(value) if ranges[key].whole else value for key, value in ends.items()}))
     open_folder(folder)
     all_specs: list[RunSpec] = []
     settings: list[Setting] = []
 
     def objective(trial: Any) -> float:
         values = {key: _suggest(trial, key, span) for key, span in ranges.items()}
-        scenario = check_scenario(set_keys(keys, values, source), source, base_dir.resolve())
-        specs = make_runs([scenario], [variant_of(values)], seeds)
+        specs = make_runs([scenario_with(values)], [variant_of(values)], seeds)
         all_specs.extend(specs)
         write_plan(all_specs, folder)
         mean = interval(measure_specs(specs, measure, folder, executor))

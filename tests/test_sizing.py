@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import shlex
+import shutil
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from analysis.measures import interval
+from demand.park_exit import ParkExit
 from parking_sim.assembly import assemble
 from parking_sim.cli import main
 from parking_sim.config import load_scenario
 from parking_sim.errors import InputError
 from parking_sim.executors import open_executor
-from parking_sim.sizing import LAST_CONFIDENCE, Measure, Target, answer, find_least, parse_target
+from parking_sim.sizing import LAST_CONFIDENCE, Measure, Target, answer, find_least, parse_target, size_garage
 from parking_sim.tuning import parse_ranges, tune_scenario
 from sumo_nets.in_use import first_places
-from sumo_nets.read import NetError, read_net
+from sumo_nets.read import NetError, net_files, read_net
 
 GARAGES: dict[str, tuple[Callable[[int], float], int]] = {
     "more is better": (lambda n: 900 / n + 120, 12),
@@ -199,6 +205,62 @@ def test_bays_and_chargers_are_sized_after_the_fleet(
     assert len(runs) == sum(len(v) for numbers in values.values() for v in numbers.values()) - 3
 
 
+class Failing(ThreadPoolExecutor):
+    """Does runs in this process, but for those with one bay."""
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Call the function, or raise."""
+        if args[0].bays == 1:
+            return super().submit(int, "no such run")
+        return super().submit(fn, *args, **kwargs)
+
+
+def test_an_answer_outlives_what_fails_after_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("parking_sim.executors.open_executor", lambda *_: Failing(1))
+    (tmp_path / "s.yaml").write_text(SCENARIO)
+    with pytest.raises(SystemExit) as caught:
+        main(shlex.split("size s.yaml --target 'queue mean < 60 min' --max-seeds 3 -q --also bays"))
+    said = capfd.readouterr()
+    assert caught.value.code == 1
+    assert "1 AGV meets 'queue mean < 60 min'" in said.out
+    assert said.err.count("\n") == 1
+    assert "bays=1, seed 1: ValueError: invalid literal" in said.err
+    (sized,) = json.loads((tmp_path / "runs" / "size-s-own" / "sizing.json").read_text())["sized"]
+    assert sized["what"] == "agvs"
+    assert sized["answer"] in said.out
+    assert (tmp_path / "runs" / "size-s-own" / "report.html").is_file()
+
+
+@pytest.fixture(scope="module")
+def own_net(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A net of one's own."""
+    folder = tmp_path_factory.mktemp("own")
+    for file in net_files("map1"):
+        shutil.copy(file, folder / file.name.replace("map1", "mine"))
+    return folder / net_files("map1")[0].name.replace("map1", "mine")
+
+
+def test_a_net_file_is_sized(own_net: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with open_executor(1) as executor:
+        scenario = load_scenario(own_net, {"agvs": 1, "plant": "discrete", "workload": ParkExit(cars=2)})
+        (found,) = size_garage(
+            scenario, parse_target("queue max < 60 min"), {"agvs": 2}, tmp_path / "out", executor, (3,)
+        )
+    assert found.number == 1
+    net = os.path.relpath(own_net)
+    with pytest.raises(SystemExit) as caught:  # the number of AGVs need not be given
+        main(["size", net, *shlex.split(SATURDAY), "--scale", "11"])
+    assert caught.value.code == 2
+    with pytest.raises(SystemExit) as caught:
+        main(["tune", net, "--vary", "agvs=1..99", "--out", "tuned"])
+    assert caught.value.code == 2
+    assert not (tmp_path / "tuned").exists()
+
+
 def test_places_that_are_not_there(tmp_path: Path) -> None:
     for keys, message in (
         ("garage: map1, bays: 3", "bays: 3: map1 has 2"),
@@ -216,6 +278,9 @@ def test_places_that_are_not_there(tmp_path: Path) -> None:
     assert first_places(net) is net
 
 
+SATURDAY = "--target 'retrieval p95 < 5 min' --profile mall-saturday"
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -223,11 +288,14 @@ def test_places_that_are_not_there(tmp_path: Path) -> None:
         ("--target x", "--target: 'x'"),
         ("--target 'retrieval p95 < 5 min' --profile mal", "profile: 'mal': give one of"),
         ("--target 'retrieval p95 < 5 min' --max-agvs 99", "--max-agvs: 99: map1 has homes for 1 to 8"),
+        (f"{SATURDAY} --scale 11", "command line: workload.scale: 11.0: must be less than or equal to 10"),
+        (f"{SATURDAY} --start 25", "command line: workload.start_h: 25.0: must be less than 24"),
+        (f"{SATURDAY} --start -3", "command line: workload.start_h: -3.0: must be greater than or equal to 0"),
+        (f"{SATURDAY} --start 20 --hours 3", "workload: 20 h to 23 h: mall-saturday covers 8 h to 22 h"),
+        (f"{SATURDAY} --start nan", "--start: nan: give a finite number"),
     ],
 )
 def test_mistakes(words: str, message: str, capfd: pytest.CaptureFixture[str]) -> None:
-    import shlex
-
     with pytest.raises(SystemExit) as caught:
         main(["size", "map1", *shlex.split(words)])
     assert caught.value.code == 2
@@ -247,7 +315,7 @@ def test_tuning_tries_settings_and_sorts_them(tmp_path: Path) -> None:
     assert all(2 <= s.values["control.period_s"] <= 60 and s.values["agvs"] in (1, 2, 3, 4) for s in found)
 
 
-@pytest.mark.parametrize("text", ["agvs", "agvs=3", "agvs=4..2", "agvs=a..b"])
+@pytest.mark.parametrize("text", ["agvs", "agvs=3", "agvs=4..2", "agvs=a..b", "step_s=0.1..inf", "seed=1..9"])
 def test_ranges_that_are_none(text: str) -> None:
     with pytest.raises(InputError, match="--vary"):
         parse_ranges([text])

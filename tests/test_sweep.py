@@ -19,10 +19,10 @@ import pytest
 from analysis.runs import Runs, load_runs, run_columns
 from analysis.sweep_report import write_sweep_report
 from parking_sim.cli import main
-from parking_sim.errors import InputError
+from parking_sim.errors import InputError, RunFailedError
 from parking_sim.executors import SpawnedWorkers, open_executor
 from parking_sim.progress import progress_words
-from parking_sim.sweep import RunFailedError, SweepProgress, do_run, open_folder, run_missing, sweep
+from parking_sim.sweep import SweepProgress, do_run, open_folder, run_missing, sweep
 from parking_sim.sweep_plan import RunSpec, load_sweep
 
 SWEEP = """
