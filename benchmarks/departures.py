@@ -30,7 +30,7 @@ BATCHES, WINDOW_CELLS = 10, 40
 def batch(graph: Graph, motion: Motion, agvs: int, seed: int) -> PlanningProblem:
     """So many loaded AGVs in random slots, on their way to places near the bays."""
     rng = np.random.default_rng(seed)
-    starts = rng.choice(graph.slots, agvs, replace=False)
+    starts = rng.choice(list(graph.slots), agvs, replace=False)
     gates = [graph.successors[bay][0] for bay in graph.bays]
     goals = [*graph.bays, *gates, *graph.homes][:agvs]
     agents = [

@@ -136,7 +136,7 @@ class Garage:
         """
         if len(cars) > len(self.graph.slots):
             raise ValueError(f"{len(cars)} cars for {len(self.graph.slots)} slots")
-        for car, slot in zip(cars, rng.permutation(self.graph.slots)[: len(cars)], strict=True):
+        for car, slot in zip(cars, rng.permutation(self.slots)[: len(cars)], strict=True):
             self._put(car, Vertex(int(slot)))
         self.initial = len(cars)
         self._inside = set(cars)

@@ -124,7 +124,7 @@ def assemble(scenario: Scenario) -> World:
         kind = agv_type(scenario.agv)
         motion = sumo_motion(net.graph, kind, scenario.step_s)
         rules = _sumo_rules(scenario.agv, motion)
-    return World(scenario, net, homes[: scenario.agvs], demand, motion, rules)
+    return World(scenario, net, tuple(homes)[: scenario.agvs], demand, motion, rules)
 
 
 def _check_zones(demand: Demand, net: GarageNet) -> None:

@@ -80,9 +80,9 @@ def scripted_faults(config: FaultConfig, graph: Graph, agvs: int) -> list[Fault]
 def _places(kind: AnyFault, graph: Graph) -> tuple[Vertex, ...]:
     """Where a fault of this kind may be: lanes and slots, since a blocked home or bay has its own kind or none."""
     if kind == "bay":
-        return graph.bays
+        return tuple(graph.bays)
     if kind == "charger":
-        return graph.chargers
+        return tuple(graph.chargers)
     if kind == "zone_stop":
         return tuple(graph.vertices)
     if kind == "blocked":

@@ -16,7 +16,7 @@ import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_nets.numbering import NO_EDGE, EdgeIndex, Numbered, Vertex, numbered, numbers
+from sumo_nets.numbering import NO_EDGE, EdgeIndex, Numbered, Places, Vertex, numbered, numbers
 
 IntArray = NDArray[np.int32]
 FloatArray = NDArray[np.float64]
@@ -47,7 +47,7 @@ class Graph:
     head: IntArray
     length_m: FloatArray
     edge_names: Numbered[EdgeIndex, str]
-    roles: Mapping[Role, tuple[Vertex, ...]]
+    roles: Mapping[Role, Places]
     first_out: IntArray = field(init=False)
     reverse: IntArray = field(init=False)
 
@@ -77,22 +77,22 @@ class Graph:
         return [EdgeIndex(e) for e in np.flatnonzero(self.head == vertex).tolist()]
 
     @property
-    def slots(self) -> tuple[Vertex, ...]:
+    def slots(self) -> Places:
         """Vertices where a car can be parked."""
         return self.roles["slot"]
 
     @property
-    def bays(self) -> tuple[Vertex, ...]:
+    def bays(self) -> Places:
         """Vertices where a customer hands a car over and takes it back."""
         return self.roles["bay"]
 
     @property
-    def homes(self) -> tuple[Vertex, ...]:
+    def homes(self) -> Places:
         """Vertices where an AGV starts and rests; the first ones are used first."""
         return self.roles["home"]
 
     @property
-    def chargers(self) -> tuple[Vertex, ...]:
+    def chargers(self) -> Places:
         """Vertices with a charging station."""
         return self.roles["charger"]
 

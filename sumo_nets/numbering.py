@@ -44,6 +44,13 @@ class NumberedList(Collection[_Item], Protocol[_Key, _Item]):
         """Give an item the next number."""
 
 
+class Places(Collection[Vertex], Protocol):
+    """Vertices of one role in the layout's order; they are gone through or cut, never looked up by a number."""
+
+    def __getitem__(self, part: slice, /) -> Places:
+        """Some of them, as of a tuple."""
+
+
 def numbers(items: Numbered[_Number, object]) -> Sequence[_Number]:
     """The numbers of a collection's items, in order."""
     return cast("Sequence[_Number]", range(len(items)))
