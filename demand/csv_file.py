@@ -1,4 +1,7 @@
-"""Requests from a CSV file with the columns time_s, kind, car and, if wanted, zone."""
+"""Requests from a CSV file with the columns time_s, kind, car and, if wanted, zone.
+
+The kind is park, retrieve, or inside: a car that is parked already when the run starts.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,8 @@ from parking_sim.errors import InputError
 
 _NEEDED = ("time_s", "kind", "car")
 _COLUMNS = (*_NEEDED, "zone")
+#: Kind of a row that is no request: its car is parked already when the run starts.
+INSIDE = "inside"
 
 #: Names that SUMO takes as vehicle ids.
 _NAME = re.compile(r"[\w.+-]+")
@@ -35,31 +40,41 @@ class Csv(Workload):
                 raise InputError(
                     f"workload.initial_cars: {car!r}: name each car once, with letters, digits and any of _ . + -"
                 )
-        if len(self.initial_cars) > slots:
+        inside, rows = _read(base_dir / self.path)
+        initial = (*self.initial_cars, *inside)
+        if repeated := next((car for car in initial if initial.count(car) > 1), ""):
+            raise InputError(f"{self.path}: car: {repeated!r}: is inside at the start already; name it once")
+        if len(initial) > slots:
             raise InputError(
-                f"workload.initial_cars: {len(self.initial_cars)} cars: give at most {slots}, the garage's slots"
+                f"workload.initial_cars: {len(initial)} cars, with those in the file: give at most {slots}, the"
+                " garage's slots"
             )
-        rows = _read(base_dir / self.path)
-        _check_order(rows, set(self.initial_cars), self.path)
-        return Demand(self.initial_cars, (tuple(request for _, request in rows),))
+        _check_order(rows, set(initial), self.path)
+        return Demand(initial, (tuple(request for _, request in rows),))
 
     def files(self, base_dir: Path) -> tuple[Path, ...]:
         """The file with the requests."""
         return (base_dir / self.path,)
 
 
-def _read(path: Path) -> list[tuple[int, Request]]:
-    """Requests in order of time, each with its row in the file (the header is row 1)."""
+def _read(path: Path) -> tuple[tuple[str, ...], list[tuple[int, Request]]]:
+    """Cars inside at the start; requests in order of time, each with its row in the file (the header is row 1)."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(file)
             header = [cell.strip() for cell in next(reader, [])]
             _check_header(header, path)
-            rows = [(reader.line_num, _request(header, cells, reader.line_num, path)) for cells in reader if any(cells)]
+            rows = [(reader.line_num, _row(header, cells, reader.line_num, path)) for cells in reader if any(cells)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = (error.strerror if isinstance(error, OSError) else None) or " ".join(str(error).split())
         raise InputError(f"workload.path: {path}: can't be read as a CSV file: {reason}") from None
-    return sorted(rows, key=lambda row: row[1].time_s)
+    requests = [
+        (number, Request(float(row["time_s"]), RequestKind(row["kind"]), row["car"], row.get("zone", "")))
+        for number, row in rows
+        if row["kind"] != INSIDE
+    ]
+    inside = tuple(row["car"] for _, row in rows if row["kind"] == INSIDE)
+    return inside, sorted(requests, key=lambda row: row[1].time_s)
 
 
 def _check_header(header: list[str], path: Path) -> None:
@@ -69,7 +84,8 @@ def _check_header(header: list[str], path: Path) -> None:
         raise InputError(f"{path}: row 1: {','.join(header)!r}: the columns are time_s, kind, car and, if wanted, zone")
 
 
-def _request(header: list[str], cells: list[str], number: int, path: Path) -> Request:
+def _row(header: list[str], cells: list[str], number: int, path: Path) -> dict[str, str]:
+    """The cells of a row by column, checked."""
     where = f"{path}: row {number}"
     if len(cells) != len(header):
         raise InputError(f"{where}: {len(cells)} cells: give {len(header)}, as many as the header")
@@ -80,11 +96,13 @@ def _request(header: list[str], cells: list[str], number: int, path: Path) -> Re
         time_s = math.nan
     if not 0 <= time_s < math.inf:
         raise InputError(f"{where}: time_s: {row['time_s']!r}: give seconds from the start, 0 or more")
-    if row["kind"] not in list(RequestKind):
-        raise InputError(f"{where}: kind: {row['kind']!r}: give park or retrieve")
+    if row["kind"] not in (*RequestKind, INSIDE):
+        raise InputError(
+            f"{where}: kind: {row['kind']!r}: give park or retrieve, or inside for a car there at the start"
+        )
     if not _NAME.fullmatch(row["car"]):
         raise InputError(f"{where}: car: {row['car']!r}: give a name of letters, digits and any of _ . + -")
-    return Request(time_s, RequestKind(row["kind"]), row["car"], row.get("zone", ""))
+    return row
 
 
 def _check_order(rows: list[tuple[int, Request]], inside: set[str], path: str) -> None:
@@ -97,5 +115,8 @@ def _check_order(rows: list[tuple[int, Request]], inside: set[str], path: str) -
             inside.add(request.car)
         else:
             if request.car not in inside:
-                raise InputError(f"{where}: never came, or was retrieved before; park it at an earlier time_s")
+                raise InputError(
+                    f"{where}: never came, or was retrieved before; park it at an earlier time_s, or give"
+                    f" it as inside: in a row of kind {INSIDE}, or by name in initial_cars"
+                )
             inside.remove(request.car)

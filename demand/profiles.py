@@ -1,9 +1,10 @@
 """Demand profiles with their provenance: how many cars come and leave in each part of a day.
 
 A profile is a garage without walls: cars arrive as a Poisson process whose rate is constant within each part of the
-day (non-homogeneous Poisson arrivals fit counts at 29 parking lots, arXiv:1908.11479), and each car present leaves with
-a rate that is constant within each part too. The expected occupancy ``m`` follows ``m' = arrivals - leaving * m``, so
-that a profile can be made to meet an occupancy that somebody has counted, hour by hour, exactly.
+day (non-homogeneous Poisson arrivals fit counts at 29 truck parking lots, arXiv:1908.11479), and each car present
+leaves with a rate that is constant within each part too. The expected occupancy ``m`` follows
+``m' = arrivals - leaving * m``, so that a profile can be made to meet an occupancy that somebody has counted, hour by
+hour, exactly.
 
 Stays are therefore exponential as long as the leaving rate does not change, and end together when it jumps, as at the
 close of an office. That stays are exponential is an assumption, made because no openly licensed distribution for

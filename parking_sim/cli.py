@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from parking_sim import planner_check, routes, studies
+from parking_sim import gate_logs, planner_check, routes, studies
 from parking_sim.errors import InputError, RunFailedError
 from parking_sim.folders import check_folder
 from parking_sim.reproduce import app as reproduce_app
@@ -38,8 +38,10 @@ app = typer.Typer(
 app.add_typer(reproduce_app, name="reproduce")
 
 
-for _study in (studies.sweep, studies.compare, studies.size, studies.tune, studies.profiles, studies.fit_profile):
+for _study in (studies.sweep, studies.compare, studies.size, studies.tune, studies.profiles):
     app.command()(_study)
+app.command()(gate_logs.fit_profile)
+app.command()(gate_logs.requests)
 app.command()(planner_check.check_planner)
 app.command()(routes.route)
 app.command()(routes.turns)

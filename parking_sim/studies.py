@@ -179,29 +179,6 @@ def profiles(
         print(f"figure: {write_profiles_figure(chosen, figure)}")
 
 
-def fit_profile(
-    log: Annotated[Path, typer.Argument(help="A gate log (.csv) with the columns time, event (in or out), car.")],
-    slots: Annotated[int, typer.Option(help="Slots of the garage that was logged.", min=1)],
-    out: Annotated[Path, typer.Option(help="Profile to write (.yaml).")],
-    days: Annotated[str, typer.Option(help="Days to use: all, weekdays, mon, tue, ...")] = "all",
-    initial: Annotated[int | None, typer.Option(help="Cars inside before the log begins.")] = None,
-    source: Annotated[str | None, typer.Option(help="Where the log is from; default: its file name.")] = None,
-) -> None:
-    """Fit a demand profile to a gate log."""
-    from demand.gate_log import fit_profile as fit
-    from demand.gate_log import read_gate_log
-    from demand.profiles import write_profile
-
-    if out.suffix not in (".yaml", ".yml"):
-        raise InputError(f"--out: {out}: give a file name that ends with .yaml")
-    fitted = fit(read_gate_log(log), slots, source or log.name, days, initial)
-    try:
-        write_profile(fitted, out)
-    except OSError as error:
-        raise InputError(f"--out: {out}: can't be written: {error.strerror}") from None
-    print(f"{out}: {fitted.words}; {fitted.arrivals_between(0, 24):.2f} cars a day for each slot")
-
-
 def _scenario_to_size(
     source: str, planner: str | None, profile: str | None, stretch: tuple[float | None, float, float], limit_s: float
 ) -> Scenario:

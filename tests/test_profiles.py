@@ -13,7 +13,6 @@ from pydantic import ValidationError
 from scipy.stats import chi2
 
 from controller.types import RequestKind
-from demand.gate_log import fit_profile, read_gate_log
 from demand.profile_traffic import ProfileTraffic
 from demand.profiles import PROFILES, Profile, find_profile, from_occupancy, write_profile
 from demand.types import Demand
@@ -143,66 +142,3 @@ def test_a_profile_file_is_checked(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match=r"bad\.yaml: give 1 arrivals"):
         find_profile("bad.yaml", tmp_path)
-
-
-# --- gate logs ------------------------------------------------------------------------------------------------------
-
-
-def write_log(path: Path, name: str, days: int) -> None:
-    """A log of Mondays and Tuesdays ... of a profile; cars that stay overnight are let out at 23:59."""
-    first = np.datetime64("2024-05-06")  # a Monday
-    rows = ["time, event, car"]
-    for number in range(days):
-        profile, demand = PROFILES[name], day(name, number)
-        came, left = (times(demand, kind, profile.hours[0]) for kind in (RequestKind.PARK, RequestKind.RETRIEVE))
-        moves = [(hour, "in") for hour in [*[profile.hours[0]] * len(demand.initial_cars), *came]]
-        moves += [(hour, "out") for hour in [*left, *[23.99] * (len(moves) - len(left))]]
-        rows += [f"{first + np.timedelta64(number, 'D') + np.timedelta64(int(h * 3600), 's')}, {e}," for h, e in moves]
-    path.write_text("\n".join(rows[:1] + rows[:0:-1]) + "\n", encoding="utf-8")
-
-
-def test_a_profile_fitted_to_a_log_gives_its_rates_back(tmp_path: Path) -> None:
-    write_log(tmp_path / "log.csv", "mall-weekday", 20)
-    fitted = fit_profile(read_gate_log(tmp_path / "log.csv"), SLOTS, "a log made by a profile", "all")
-    true = PROFILES["mall-weekday"]
-    for hour in range(9, 19):
-        assert fitted.arrivals_between(hour, hour + 1) == pytest.approx(true.arrivals_between(hour, hour + 1), rel=0.1)
-        assert fitted.leaving[hour] == pytest.approx(true.leaving[hour - 8], rel=0.1)
-        # the cars that are there at 8 h come through the gate at once, and are not quite forgotten at 10 h
-        assert hour < 11 or fitted.occupancy_at(hour) == pytest.approx(true.occupancy_at(hour), rel=0.1)
-    assert fitted.occupancy == 0
-
-
-def test_days_of_the_week_are_picked(tmp_path: Path) -> None:
-    (tmp_path / "log.csv").write_text("time,event\n2024-05-04 10:30,in\n2024-05-04 11:30,out\n2024-05-06T09:00,in\n")
-    log = read_gate_log(tmp_path / "log.csv")
-    saturday = fit_profile(log, 10, "x", "sat")
-    assert saturday.arrivals_between(10, 11) == pytest.approx(0.1)
-    assert saturday.arrivals_between(9, 10) == 0
-    assert fit_profile(log, 10, "x", "weekdays").arrivals_between(9, 10) == pytest.approx(0.1)
-    with pytest.raises(InputError, match="has no such day"):
-        fit_profile(log, 10, "x", "tue")
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("when,event\n", "row 1"),
-        ("time,event\n", "no movements"),
-        ("time,event\nnoon,in\n", "row 2: time: 'noon'"),
-        ("time,event\n2024-05-04 10:30,on\n", "row 2: event: 'on': give in or out"),
-    ],
-)
-def test_mistakes_in_a_log(tmp_path: Path, text: str, words: str) -> None:
-    (tmp_path / "log.csv").write_text(text)
-    with pytest.raises(InputError, match=words):
-        read_gate_log(tmp_path / "log.csv")
-
-
-def test_a_log_that_does_not_fit_its_garage(tmp_path: Path) -> None:
-    (tmp_path / "log.csv").write_text("time,event\n2024-05-04 10:30,out\n2024-05-04 11:30,in\n2024-05-04 12:30,in\n")
-    log = read_gate_log(tmp_path / "log.csv")
-    with pytest.raises(InputError, match="--slots: 1: up to 2 cars"):
-        fit_profile(log, 1, "x")
-    with pytest.raises(InputError, match="--initial: 0: at least 1 cars"):
-        fit_profile(log, 5, "x", initial=0)
