@@ -29,8 +29,8 @@ Values = NDArray[np.float64]
 
 #: Measures that a comparison shows when nothing else is asked.
 HEADLINES = (
-    "retrieval_wait_mean_s", "retrieval_wait_p50_s", "retrieval_wait_p95_s", "park_queue_mean_s", "park_total_mean_s",
-    "tasks_per_hour", "queue_mean", "deadlocks_per_hour",
+    "turned_away_share", "retrieval_wait_mean_s", "retrieval_wait_p50_s", "retrieval_wait_p95_s", "park_queue_mean_s",
+    "park_total_mean_s", "tasks_per_hour", "queue_mean", "deadlocks_per_hour",
 )  # fmt: skip
 
 #: Variants that a complaint names at most.

@@ -113,7 +113,7 @@ def draw_waits(run: Run) -> Figure | None:
 def draw_waits_over_time(run: Run) -> Figure | None:
     """Each retrieval's wait over the time of its request."""
     tasks = run.tasks
-    asked = tasks[(tasks["kind"] == "retrieve") & (tasks["state"] != "refused")]
+    asked = tasks[(tasks["kind"] == "retrieve") & (tasks["state"] != "void")]
     delivered = asked[asked["delivered_s"].notna()]
     waiting = asked[asked["delivered_s"].isna()]
     if asked.empty:

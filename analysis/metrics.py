@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.tables import Run, load_run
+from analysis.turned_away import turned_away
 from parking_sim.record import NAN, write_json
 
 if TYPE_CHECKING:
@@ -51,8 +52,11 @@ METRICS: Mapping[str, tuple[str, str]] = {
     "tasks_done": ("tasks", "tasks served"),
     "requests": ("", "requests made"),
     "requests_waiting": ("", "requests not yet served at the end"),
-    "requests_refused": ("", "requests refused, with a reason"),
-    "requests_conserved": ("0/1", "1 if every request ended in exactly one of served, waiting, refused"),
+    "requests_void": ("", "requests that mean nothing, see parking_sim.record.COLUMNS, tasks, state"),
+    "requests_conserved": ("0/1", "1 if every request ended in exactly one of served, waiting, turned away, void"),
+    "customers_came": ("cars", "customers who came with a car, with those turned away; void requests don't count"),
+    "customers_turned_away": ("cars", "those of them who were turned away: no slot for them, or a queue too long"),
+    "turned_away_share": ("", "customers turned away as a share of those who came"),
     **{f"cars_{name}": ("cars", f"see parking_sim.record.META, cars_{name}") for name in CARS},
     "cars_conserved": ("0/1", "1 if initial + arrived = parked + left + in transit, and the garage's own audit agrees"),
     "parks_done": ("cars", "cars parked"),
@@ -67,7 +71,8 @@ METRICS: Mapping[str, tuple[str, str]] = {
     **{
         f"retrieval_within_{level}_s_share": (
             "",
-            f"share of retrievals with a wait of at most {level} s, of those delivered or already waiting longer",
+            f"share of retrievals with a wait of at most {level} s, of those delivered or already waiting longer and of"
+            " the customers turned away, who count as missed",
         )
         for level in SERVICE_LEVELS_S
     },
@@ -175,10 +180,11 @@ def waits(tasks: pd.DataFrame) -> dict[str, NDArray[np.float64]]:
 
 
 def share_within(tasks: pd.DataFrame, limit_s: float, end_s: float) -> float:
-    """Share of retrievals with a wait of at most ``limit_s``.
+    """Share of customers whose retrieval had a wait of at most ``limit_s``.
 
-    Requests that were refused, or that still wait at the end but not yet longer than the limit, don't count; those that
-    wait longer count as missed, so that a garage that locks up does not look good.
+    Retrievals that still wait at the end but not yet longer than the limit, and void ones, don't count. Those that wait
+    longer count as missed, and so do customers who were turned away: a garage that locks up, or that turns customers
+    away, does not look good.
 
     Args:
         tasks: table ``tasks``.
@@ -186,13 +192,13 @@ def share_within(tasks: pd.DataFrame, limit_s: float, end_s: float) -> float:
         end_s: end of the run, simulated seconds.
 
     Returns:
-        The share, NaN if no retrieval counts.
+        The share, NaN if nothing counts.
     """
-    asked = tasks[(tasks["kind"] == "retrieve") & (tasks["state"] != "refused")]
+    asked = tasks[(tasks["kind"] == "retrieve") & (tasks["state"] != "void")]
     delivered = asked["delivered_s"].notna()
     wait = asked["delivered_s"].fillna(end_s) - asked["requested_s"]
     counted = delivered | (wait > limit_s)
-    return float((wait[counted] <= limit_s).mean()) if counted.any() else NAN
+    return _ratio(int((wait[counted] <= limit_s).sum()), int(counted.sum()) + turned_away(tasks).number)
 
 
 def _number(run: Run, key: str) -> float | int:
@@ -213,6 +219,7 @@ def _requests(run: Run) -> Metrics:
     tasks, hours = run.tasks, _number(run, "simulated_s") / 3600.0
     state = tasks["state"]
     served = tasks[state == "served"]
+    away = turned_away(tasks)
     parks, retrievals = (int((served["kind"] == kind).sum()) for kind in ("park", "retrieve"))
     return {
         "simulated_s": _number(run, "simulated_s"),
@@ -220,8 +227,11 @@ def _requests(run: Run) -> Metrics:
         "tasks_done": len(served),
         "requests": len(tasks),
         "requests_waiting": int((state == "waiting").sum()),
-        "requests_refused": int((state == "refused").sum()),
+        "requests_void": int((state == "void").sum()),
         "requests_conserved": int(_conserved(run)),
+        "customers_came": away.came,
+        "customers_turned_away": away.number,
+        "turned_away_share": away.share,
         "parks_done": parks,
         "retrievals_done": retrievals,
         "cars_in_per_hour": _ratio(parks, hours),
@@ -230,10 +240,10 @@ def _requests(run: Run) -> Metrics:
 
 
 def _conserved(run: Run) -> bool:
-    """Each request made has exactly one row, with one of the three states."""
+    """Each request made has exactly one row, with one of the four states."""
     tasks = run.tasks
     made = int((run.events["kind"] == "request_made").sum())
-    known = tasks["state"].isin(["served", "waiting", "refused"]).all()
+    known = tasks["state"].isin(["served", "waiting", "turned_away", "void"]).all()
     return bool(known and tasks["request"].is_unique and len(tasks) == made)
 
 

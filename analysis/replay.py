@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 LIMIT_BYTES: Final = 10_000_000
 
 _SCRIPTS: Final = ("replay_data.js", "replay_draw.js", "replay_page.js")
-_INCIDENTS: Final = ("collision", "overlap", "fault_start", "fault_end", "plan_rejected", "request_refused")
+_INCIDENTS: Final = ("collision", "overlap", "fault_start", "fault_end", "plan_rejected", "turned_away", "request_void")
 
 
 def write_replay(

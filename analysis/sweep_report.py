@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
 #: Measures of the table and the figures.
 SHOWN = (
-    "retrieval_wait_p50_s", "retrieval_wait_p95_s", "park_queue_mean_s", "park_total_mean_s", "tasks_per_hour",
-    "queue_mean", "deadlocks_per_hour",
+    "turned_away_share", "retrieval_wait_p50_s", "retrieval_wait_p95_s", "park_queue_mean_s", "park_total_mean_s",
+    "tasks_per_hour", "queue_mean", "deadlocks_per_hour",
 )  # fmt: skip
-_DRAWN = ("retrieval_wait_p95_s", "tasks_per_hour", "deadlocks_per_hour")
+_DRAWN = ("retrieval_wait_p95_s", "turned_away_share", "tasks_per_hour", "deadlocks_per_hour")
 _MOST_LINES = 6
 #: Letters of a variant's name on a line of a figure.
 _WIDEST = 36

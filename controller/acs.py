@@ -103,7 +103,7 @@ class Acs:
         self._work_at_goals()
         if self.garage.handover == "bay":
             self._commands += self.garage.board(self._now_s)
-            self._commands += self.garage.call_forward(self.outages.closed)
+            self._commands += self.garage.call_forward(self._now_s, self.outages.closed)
         self._send_charging(changed)
         self._dispatch()
         self._choose_bays()

@@ -2,6 +2,11 @@
 
 It knows vertices but nothing of AGVs' ways. Times are seconds. A request becomes a ``Job``; its life is told by the
 stamps of the job, and ``Garage.audit`` checks that nothing and nobody got lost.
+
+A customer who comes with a car is turned away when every slot is taken or promised: by cars in slots, and by cars that
+have come and are not in their slots yet. A car on its way out needs no slot as soon as it is lifted. A customer also
+turns away when the queue is too long for him. Requests that mean nothing are void: to fetch a car that is not there or
+is asked for already, or to park one that is inside; so is a request to fetch a car that was turned away.
 """
 
 from __future__ import annotations
@@ -29,7 +34,26 @@ from controller.types import (
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import NO_VERTEX, NumberedList, Vertex
 
-JobState = Literal["waiting", "served", "refused"]
+JobState = Literal["waiting", "served", "turned_away", "void"]
+
+#: Cars by which the pace of the queue is known: the last ones that had to wait.
+_RECENT = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Customers:
+    """What customers do.
+
+    Attributes:
+        handling_median_s, handling_sigma: lognormal distribution of the time that they need at the bay.
+        balk_cars: a customer turns away when this many cars wait in the queue; None: never.
+        balk_s: a customer turns away when the wait in the queue is expected to be this long, seconds; None: never.
+    """
+
+    handling_median_s: float = 60.0
+    handling_sigma: float = 0.5
+    balk_cars: int | None = None
+    balk_s: float | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -40,8 +64,8 @@ class Job:
         number: position among all requests of the run.
         request: what was asked.
         handling_s: how long the customer needs at the bay.
-        state: waiting until it is served or refused.
-        reason: why it was refused.
+        state: waiting until it is served; turned_away (the customer) or void (the request) from the start.
+        reason: why it was turned away or is void; what differs from case to case comes after a colon.
         agv: AGV that serves it, -1 before assignment.
         origin, destination: vertices, -1 until known.
         requested_s, at_bay_s, ready_s, assigned_s, lifted_s, delivered_s, done_s: when, NaN until then.
@@ -82,6 +106,43 @@ class BayPlaces:
     outbound: Job | None = None
 
 
+class StreetQueue:
+    """Customers that wait for a bay, in their order, and how fast the queue moves.
+
+    The wait that a customer has to expect is the number of cars in the queue times the time a car stands at its head.
+    That is the mean of the last cars that had to wait, or the time that the present head has stood there, if longer.
+    """
+
+    def __init__(self) -> None:
+        self._jobs: deque[Job] = deque()
+        self._head_since_s = 0.0
+        self._stood_s: deque[float] = deque(maxlen=_RECENT)
+
+    def __len__(self) -> int:
+        return len(self._jobs)
+
+    def join(self, job: Job, now_s: float) -> None:
+        """A customer stands behind the others."""
+        if not self._jobs:
+            self._head_since_s = now_s
+        self._jobs.append(job)
+
+    def call(self, now_s: float) -> Job:
+        """The first customer leaves the queue for a bay."""
+        stood_s = now_s - self._head_since_s
+        if stood_s > 0:
+            self._stood_s.append(stood_s)
+        self._head_since_s = now_s
+        return self._jobs.popleft()
+
+    def expected_s(self, now_s: float) -> float:
+        """How long a customer who comes now has to expect to wait, seconds."""
+        if not self._jobs:
+            return 0.0
+        mean_s = sum(self._stood_s) / len(self._stood_s) if self._stood_s else 0.0
+        return len(self._jobs) * max(mean_s, now_s - self._head_since_s)
+
+
 class Garage:
     """Books of one garage.
 
@@ -89,7 +150,7 @@ class Garage:
         graph: the garage.
         handover: "bay" (customers come through the street) or "home" (cars stand ready at each AGV's home).
         handling: seeded generator of the customers' handling times at the bay.
-        handling_median_s, handling_sigma: the lognormal distribution they are drawn from.
+        customers: what these times are like, and which queues are too long for customers.
     """
 
     def __init__(
@@ -97,17 +158,16 @@ class Garage:
         graph: Graph,
         handover: Literal["bay", "home"],
         handling: np.random.Generator,
-        handling_median_s: float = 60.0,
-        handling_sigma: float = 0.5,
+        customers: Customers = Customers(),
     ) -> None:
         self.graph = graph
         self.handover = handover
         self._handling = handling
-        self._handling_mu = float(np.log(handling_median_s)) if handling_median_s > 0 else None
-        self._handling_sigma = handling_sigma
+        self._customers = customers
+        self._handling_mu = float(np.log(customers.handling_median_s)) if customers.handling_median_s > 0 else None
         self.jobs: NumberedList[RequestNumber, Job] = []
         self.open: list[Job] = []
-        self.queue: deque[Job] = deque()
+        self.queue = StreetQueue()
         self.bays = {bay: BayPlaces() for bay in graph.bays}
         self.parked: dict[str, Vertex] = {}
         self.slot_of: dict[Vertex, str] = dict.fromkeys(graph.slots, "")
@@ -121,6 +181,8 @@ class Garage:
         self.left = 0
         self.initial = 0
         self.unfinished = 0
+        self.coming = 0
+        self._turned_away: set[str] = set()
         self._inside: set[str] = set()
         self._asked_for: set[str] = set()
         self._early: dict[str, Job] = {}
@@ -142,7 +204,7 @@ class Garage:
         self._inside = set(cars)
 
     def request(self, request: Request, now_s: float) -> Job:
-        """Enter a request in the books; it may be refused at once."""
+        """Enter a request in the books; its customer may be turned away at once, or it may be void."""
         job = Job(RequestNumber(len(self.jobs)), request, self._draw_handling(), requested_s=now_s)
         self.jobs.append(job)
         self.unfinished += 1
@@ -154,25 +216,50 @@ class Garage:
 
     def _request_park(self, job: Job, now_s: float) -> None:
         if job.car in self._inside:
-            self._refuse(job, "car is in the garage already", now_s)
+            self._dismiss(job, "void", "car is in the garage already")
             return
-        if len(self._inside) >= len(self.graph.slots):
-            self._refuse(job, "garage full", now_s)
+        reason = self._no_slot() or self._too_long(now_s)
+        if reason:
+            self._dismiss(job, "turned_away", reason)
+            self._turned_away.add(job.car)
             return
+        self._turned_away.discard(job.car)
         self._inside.add(job.car)
         self.arrived += 1
+        self.coming += 1
         if self.handover == "home":
             job.at_bay_s = job.ready_s = now_s
             self.open.append(job)
         else:
-            self.queue.append(job)
+            self.queue.join(job, now_s)
+
+    def _no_slot(self) -> str:
+        """Why there is no slot for one more car, empty if there is one."""
+        parked, queue = len(self.parked), len(self.queue)
+        if parked + self.coming < len(self.graph.slots):
+            return ""
+        return (
+            f"every slot is taken or promised: {parked} parked, {queue} in the queue,"
+            f" {self.coming - queue} on their way in"
+        )
+
+    def _too_long(self, now_s: float) -> str:
+        """Why the queue is too long for a customer, empty if it is not."""
+        balk_cars, balk_s, cars = self._customers.balk_cars, self._customers.balk_s, len(self.queue)
+        if balk_cars is not None and cars >= balk_cars:
+            return f"queue too long: {cars} {'car' if cars == 1 else 'cars'}"
+        expected_s = self.queue.expected_s(now_s)
+        if balk_s is not None and expected_s >= balk_s:
+            return f"queue too long: {expected_s / 60:.1f} min"
+        return ""
 
     def _request_retrieve(self, job: Job, now_s: float) -> None:
         if job.car not in self._inside:
-            self._refuse(job, "car is not in the garage", now_s)
+            gone = job.car in self._turned_away
+            self._dismiss(job, "void", "car was turned away" if gone else "car is not in the garage")
             return
         if job.car in self._asked_for:
-            self._refuse(job, "car is asked for already", now_s)
+            self._dismiss(job, "void", "car is asked for already")
             return
         self._asked_for.add(job.car)
         if job.car in self.parked:
@@ -185,25 +272,26 @@ class Garage:
         job.origin = self.parked[job.car]
         self.open.append(job)
 
-    def _refuse(self, job: Job, reason: str, now_s: float) -> None:
-        job.state, job.reason, job.done_s = "refused", reason, now_s
+    def _dismiss(self, job: Job, state: Literal["turned_away", "void"], reason: str) -> None:
+        job.state, job.reason = state, reason
         self.unfinished -= 1
 
     def _draw_handling(self) -> float:
         # drawn for every request in the order of requests, so that it does not depend on the controller
         z = float(self._handling.standard_normal())
-        return 0.0 if self._handling_mu is None else float(np.exp(self._handling_mu + self._handling_sigma * z))
+        sigma = self._customers.handling_sigma
+        return 0.0 if self._handling_mu is None else float(np.exp(self._handling_mu + sigma * z))
 
     # --- customers' side of the bays ------------------------------------------------------------------------------
 
-    def call_forward(self, closed: frozenset[Vertex] = frozenset()) -> list[Command]:
+    def call_forward(self, now_s: float, closed: frozenset[Vertex] = frozenset()) -> list[Command]:
         """Send waiting customers, in their order, to bays whose inbound place is free."""
         commands: list[Command] = []
         for bay, places in self.bays.items():
             if not self.queue:
                 break
             if places.inbound is None and bay not in closed:
-                job = self.queue.popleft()
+                job = self.queue.call(now_s)
                 job.origin = bay
                 places.inbound = job
                 commands.append(CallForward(job.number, bay))
@@ -303,6 +391,7 @@ class Garage:
         if job.is_park:
             self.reserved.pop(job.destination)
             self._put(job.car, job.destination)
+            self.coming -= 1
             self._serve(job, now_s)
             early = self._early.pop(job.car, None)
             if early:
@@ -332,9 +421,8 @@ class Garage:
 
     def in_transit(self) -> int:
         """Cars that are in the garage's care but not parked: in the street, at bays or on AGVs."""
-        coming = sum(1 for j in self.jobs if j.is_park and j.state == "waiting")
         going = sum(1 for j in self.jobs if not j.is_park and j.state == "waiting" and j.lifted_s == j.lifted_s)
-        return coming + going
+        return self.coming + going
 
     def audit(self) -> list[str]:
         """What does not add up; empty when every car and request is accounted for."""
@@ -346,6 +434,10 @@ class Garage:
             )
         if sorted(self.parked.values()) != sorted(v for v, car in self.slot_of.items() if car):
             problems.append("slots and parked cars disagree")
+        if self.coming != sum(1 for j in self.jobs if j.is_park and j.state == "waiting"):
+            problems.append("cars: the count of those on their way in is off")
+        if len(self.parked) + self.coming > len(self.graph.slots):
+            problems.append(f"cars: {len(self.parked)} parked and {self.coming} coming exceed the slots")
         states = [j.state for j in self.jobs]
         if self.unfinished != states.count("waiting"):
             problems.append("requests: the count of unfinished ones is off")

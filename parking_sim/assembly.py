@@ -12,7 +12,7 @@ import numpy as np
 from controller.acs import Acs, Setup
 from controller.deadlock.ladder import LadderLimits
 from controller.dispatch import DISPATCH
-from controller.garage import Garage
+from controller.garage import Customers, Garage
 from controller.planners.cbs import CbsLimits
 from controller.planners.table import load_planner
 from controller.planning import ControlOptions
@@ -75,9 +75,13 @@ class World:
     def garage(self) -> Garage:
         """Empty books, then the cars that are there at the start."""
         customers, seed = self.scenario.customers, self.scenario.seed
-        handling = stream(seed, "handling")
-        median = 0.0 if self.scenario.plant == "discrete" else customers.handling_median_s
-        garage = Garage(self.net.graph, self.net.handover, handling, median, customers.handling_sigma)
+        behaviour = Customers(
+            0.0 if self.scenario.plant == "discrete" else customers.handling_median_s,
+            customers.handling_sigma,
+            customers.balk_cars,
+            None if customers.balk_min is None else 60 * customers.balk_min,
+        )
+        garage = Garage(self.net.graph, self.net.handover, stream(seed, "handling"), behaviour)
         garage.place_initial(self.demand.initial_cars, stream(seed, "initial slots"))
         return garage
 
@@ -111,6 +115,8 @@ def assemble(scenario: Scenario) -> World:
     homes = net.graph.homes
     if scenario.agvs > len(homes):
         raise InputError(f"agvs: {scenario.agvs}: {net.name} has homes for 1 to {len(homes)}")
+    if net.handover == "home" and (scenario.customers.balk_cars or scenario.customers.balk_min):
+        raise InputError(f"customers: balk_cars, balk_min: {net.name} has no queue: cars are handed over at homes")
     demand = make_demand(scenario.workload, len(net.graph.slots), scenario.seed, scenario.base_dir)
     _check_zones(demand, net)
     scripted_faults(scenario.faults, net.graph, scenario.agvs)

@@ -130,6 +130,15 @@ class CustomerConfig(_Options):
     handling_sigma: float = Field(
         default=0.5, ge=0, le=3, description="sigma of the lognormal handling time; 0: always the median"
     )
+    balk_cars: int | None = Field(
+        default=None, ge=1, description="cars in the queue at which a customer who comes turns away; default: never"
+    )
+    balk_min: float | None = Field(
+        default=None,
+        gt=0,
+        description="expected wait in the queue at which a customer who comes turns away, minutes: cars in the queue"
+        " times the time that a car stands at its head of late; default: never",
+    )
 
 
 class RecordConfig(_Options):

@@ -55,8 +55,15 @@ _SCHEMA: Mapping[str, tuple[tuple[str, str, str, str], ...]] = {
         ("request", "INTEGER", "", "number of the request, in the order in which requests were made"),
         ("kind", "VARCHAR", "", "park or retrieve"),
         _CAR,
-        ("state", "VARCHAR", "", "served, waiting (at the end of the run) or refused"),
-        ("reason", "VARCHAR", "", "why it was refused or still waits, empty if served"),
+        (
+            "state",
+            "VARCHAR",
+            "",
+            "served; waiting at the end of the run; turned_away: the customer came with a car and found every slot"
+            " taken or promised, or the queue too long; void: the request means nothing (to retrieve: the car is not"
+            " there, was turned away, or is asked for already; to park: it is inside already)",
+        ),
+        ("reason", "VARCHAR", "", "why it was turned away or is void, figures after a colon; or why it still waits"),
         ("agv", "INTEGER", "", "number of the AGV that served it, -1 for none"),
         ("origin", "VARCHAR", "", "name of the vertex where the car was lifted, empty if never assigned"),
         ("destination", "VARCHAR", "", "name of the vertex where the car was lowered, empty if never assigned"),
@@ -66,7 +73,7 @@ _SCHEMA: Mapping[str, tuple[tuple[str, str, str, str], ...]] = {
         ("assigned_s", "DOUBLE", "s", "an AGV was told to do it"),
         ("lifted_s", "DOUBLE", "s", "the car is on the AGV"),
         ("delivered_s", "DOUBLE", "s", "the car is lowered: in its slot (park) or at the bay (retrieve)"),
-        ("done_s", "DOUBLE", "s", "to park: as delivered_s; to retrieve: the customer has driven off"),
+        ("done_s", "DOUBLE", "s", "served: to park: as delivered_s; to retrieve: the customer has driven off"),
     ),
     "trajectory": (
         _TIME,
@@ -149,7 +156,8 @@ COLUMNS: Mapping[str, Mapping[str, tuple[str, str]]] = {
 KINDS: Mapping[str, str] = {
     "car_initial": "a car stands in a slot before the run starts",
     "request_made": "a customer asks: request (number), what (park or retrieve)",
-    "request_refused": "a request can't be served: request, reason",
+    "turned_away": "a customer who comes with a car is turned away: request, reason",
+    "request_void": "a request means nothing: request, reason",
     "car_at_bay": "a customer's car stands at a bay: request",
     "car_ready": "the customer has left the car, it may be lifted: request",
     "task_assigned": "an AGV gets a task: request, origin, destination",
@@ -194,7 +202,7 @@ META: Mapping[str, tuple[str, str]] = {
     "footprint_overlaps": ("", "pairs of bodies seen to overlap by the independent check"),
     "least_clearance_m": ("m", "least distance between two bodies in the run"),
     "cars_initial": ("cars", "cars parked before the first step"),
-    "cars_arrived": ("cars", "cars that came to the garage"),
+    "cars_arrived": ("cars", "cars that came and were let in"),
     "cars_parked": ("cars", "cars in slots at the end"),
     "cars_left": ("cars", "cars that have left"),
     "cars_in_transit": ("cars", "cars in the street, at bays and on AGVs at the end"),

@@ -265,8 +265,9 @@ class _Run:
     def _request(self, request: Request) -> None:
         job = self.garage.request(request, self.now_s)
         self._log("request_made", NO_AGV, job.car, NO_VERTEX, {"request": job.number, "what": request.kind.value})
-        if job.state == "refused":
-            self._log("request_refused", NO_AGV, job.car, NO_VERTEX, {"request": job.number, "reason": job.reason})
+        if job.reason:
+            kind = "turned_away" if job.state == "turned_away" else "request_void"
+            self._log(kind, NO_AGV, job.car, NO_VERTEX, {"request": job.number, "reason": job.reason})
         elif job.is_park and self.garage.handover == "bay":
             self.plant.arrive(job.number)
 

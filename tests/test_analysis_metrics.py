@@ -11,6 +11,7 @@ from test_analysis_runs import synthetic_meta, synthetic_recorder
 
 from analysis.metrics import METRICS, run_metrics, share_within, write_metrics
 from analysis.tables import recorded_run
+from analysis.turned_away import TurnedAway, turned_away, turned_away_words
 from parking_sim.record import AgvRow, Recorder, TaskRow
 
 META = {
@@ -31,7 +32,7 @@ META = {
 
 def by_hand() -> Recorder:
     recorder = Recorder()
-    for request in range(8):
+    for request in range(13):
         recorder.event(0.0, "request_made", request=request)
     # two parks: queue 10 and 30, wait 70 and 90, total 200 and 300
     recorder.task(TaskRow(0, "park", "a", "served", "", 0, "bay", "s1", 0, 10, 60, 60, 80, 200, 200))
@@ -43,9 +44,16 @@ def by_hand() -> Recorder:
         )
         recorder.task(row)
     recorder.task(TaskRow(5, "retrieve", "d", "waiting", "customer at the bay", requested_s=600.0, delivered_s=900.0))
-    # still waiting for 250 s (over 180, not over 300), and refused
+    # still waiting for 250 s (over 180, not over 300); void, because its car was turned away
     recorder.task(TaskRow(6, "retrieve", "e", "waiting", "no AGV yet", requested_s=750.0))
-    recorder.task(TaskRow(7, "retrieve", "zz", "refused", "unknown car", requested_s=5.0))
+    recorder.task(TaskRow(7, "retrieve", "zz", "void", "car was turned away", requested_s=5.0))
+    # four customers turned away; one more was inside already, who did not come
+    for request, (state, reason) in enumerate(
+        [("turned_away", f"queue too long: {n} cars") for n in (12, 13)]
+        + [("turned_away", "every slot is taken or promised: 4 parked, 2 in the queue, 1 on their way in")] * 2
+        + [("void", "car is in the garage already")]
+    ):
+        recorder.task(TaskRow(8 + request, "park", f"z{request}", state, reason, requested_s=4.0))
     for time_s, queue, spilled in ((0.0, 0, 0), (100.0, 4, 1), (300.0, 1, 0), (960.0, 9, 3)):
         recorder.timeline(time_s, queue, spilled, 5, 0, 1)
     for time_s, wall_ms, status in ((0.0, 1.0, "solved"), (0.0, 2.0, "partial"), (0.5, 6.0, "solved")):
@@ -65,9 +73,12 @@ EXPECTED = {
     "simulated_s": 1000.0,
     "tasks_wanted": 7,
     "tasks_done": 5,
-    "requests": 8,
+    "requests": 13,
     "requests_waiting": 2,
-    "requests_refused": 1,
+    "requests_void": 2,
+    "customers_came": 6,
+    "customers_turned_away": 4,
+    "turned_away_share": 4 / 6,
     "requests_conserved": 1,
     "cars_conserved": 1,
     "parks_done": 2,
@@ -81,8 +92,8 @@ EXPECTED = {
     "retrieval_wait_p99_s": 397.0,
     "retrieval_wait_max_s": 400.0,
     "retrieval_total_mean_s": 850 / 3,
-    "retrieval_within_180_s_share": 1 / 5,
-    "retrieval_within_300_s_share": 3 / 4,
+    "retrieval_within_180_s_share": 1 / (5 + 4),
+    "retrieval_within_300_s_share": 3 / (4 + 4),
     "park_queue_mean_s": 20.0,
     "park_wait_p50_s": 80.0,
     "park_total_max_s": 300.0,
@@ -145,7 +156,7 @@ def test_cars_that_vanish_are_noticed() -> None:
 
 def test_requests_that_vanish_are_noticed() -> None:
     recorder = by_hand()
-    recorder.event(5.0, "request_made", request=8)
+    recorder.event(5.0, "request_made", request=13)
     assert run_metrics(recorded_run(recorder, META))["requests_conserved"] == 0
 
 
@@ -155,6 +166,18 @@ def test_share_counts_a_locked_garage_as_missed() -> None:
         recorder.task(TaskRow(request, "retrieve", "a", "waiting", requested_s=0.0))
     assert share_within(recorded_run(recorder, {}).tasks, 180.0, 1000.0) == 0.0
     assert math.isnan(share_within(recorded_run(recorder, {}).tasks, 180.0, 100.0))
+
+
+def test_turned_away_in_words() -> None:
+    away = turned_away(recorded_run(by_hand(), META).tasks)
+    assert (away.number, away.came) == (4, 6)
+    assert away.reasons == {"every slot is taken or promised": 2, "queue too long": 2}
+    assert turned_away_words(away) == (
+        "4 of 6 customers were turned away (67 %): every slot is taken or promised 2, queue too long 2"
+    )
+    assert turned_away_words(TurnedAway(1, 4000)) == "1 of 4,000 customers was turned away (0.025 %)"
+    assert turned_away_words(TurnedAway(0, 7)) == "none of 7 customers was turned away"
+    assert turned_away_words(turned_away(recorded_run(Recorder(), {}).tasks)) == "no customer came with a car"
 
 
 def test_empty_record_has_all_keys_and_writes_null(tmp_path: Path) -> None:

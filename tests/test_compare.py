@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from analysis import compare as module
 from analysis.compare import Comparison, compare, in_words, select_runs, table_rows, variant_names
-from analysis.measures import interval, measure_runs
+from analysis.measures import interval, measure_runs, statistic
 from analysis.runs import Runs, load_runs
 from parking_sim.cli import main
 from parking_sim.errors import InputError
@@ -164,3 +166,43 @@ def test_rows_have_the_numbers(pairs: Path) -> None:
     assert [set(row) for row in rows] == [
         {"measure", "unit", "a", "b", "difference", "95 % interval", "seeds needed"}
     ] * len(rows)
+
+
+def test_customers_turned_away_are_a_measure_and_no_served_task(tmp_path: Path) -> None:
+    """Ten cars come in an hour: four are served, six turned away; two requests to fetch those are void."""
+    recorder = Recorder()
+    rows = [TaskRow(k, "park", f"c{k}", "served", requested_s=60.0 * k, done_s=60.0 * k + 9, delivered_s=60.0 * k + 9)
+            for k in range(4)]  # fmt: skip
+    rows += [
+        TaskRow(k, "park", f"c{k}", "turned_away", "queue too long: 3 cars", requested_s=1800.0) for k in range(4, 10)
+    ]
+    rows += [TaskRow(k, "retrieve", f"c{k - 6}", "void", "car was turned away", requested_s=1900.0) for k in (10, 11)]
+    for row in rows:
+        recorder.task(row)
+    recorder.write(tmp_path / "run", {"seed": 1, "simulated_s": END_S, "scenario": {"seed": 1}})
+    runs = load_runs(tmp_path)
+    plain, endless = (measure_runs(runs, endless=counted).iloc[0] for counted in (False, True))
+    for measured in (plain, endless):
+        assert measured["turned_away_share"] == 0.6 == runs.runs.df()["turned_away_share"][0]
+        assert measured["tasks_per_hour"] == 4
+    assert plain["park_total_max_s"] == 9
+    assert math.isnan(plain["retrieval_wait_p50_s"])
+    assert [endless[f"{wait}_p95_s"] for wait in ("park_total", "retrieval_wait", "retrieval_total")] == [math.inf] * 3
+    assert measure_runs(runs, warmup_s=61.0)["turned_away_share"][0] == 6 / 8
+
+
+@given(
+    st.lists(st.floats(0, 1e4), max_size=40), st.integers(0, 20), st.sampled_from(["mean", "p50", "p90", "p95", "max"])
+)
+def test_a_wait_without_end_counts_as_any_that_is_very_long(waits: list[float], endless: int, name: str) -> None:
+    """Against numpy: with 1e12 s in the place of each wait without end, whatever they touch is beyond all others."""
+    found = statistic(name, sorted(waits), endless)
+    if not waits and not endless:
+        assert math.isnan(found)
+        return
+    long = np.array([*waits, *[1e12] * endless])
+    expected = {"mean": np.mean, "max": np.max}.get(name, lambda v: np.quantile(v, int(name[1:]) / 100))(long)
+    if expected > 1e6:
+        assert found == math.inf
+    else:
+        assert found == pytest.approx(expected, abs=1e-6)

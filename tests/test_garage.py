@@ -2,33 +2,44 @@
 
 from __future__ import annotations
 
+import math
+import re
+
 import numpy as np
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from controller.garage import Garage, Job
+from controller.garage import Customers, Garage, Job
 from controller.types import CallForward, DriveOff, HandOver, Request, RequestKind
-from sumo_nets.graph import make_graph
+from sumo_nets.graph import Graph, make_graph
 
 SLOTS = ("s1", "s2", "s3", "s4")
 BAYS = ("b1", "b2")
-GRAPH = make_graph(
-    "books",
-    [(name, float(x), 0.0) for x, name in enumerate(("home", *BAYS, *SLOTS))],
-    [(f"home{way}{name}", *ends, 5.0) for name in (*BAYS, *SLOTS) for way, ends in
-     ((">", ("home", name)), ("<", (name, "home")))],
-    {"slot": SLOTS, "bay": BAYS, "home": ("home",)},
-)  # fmt: skip
 
 
-def empty(handover="bay") -> Garage:
-    return Garage(GRAPH, handover, np.random.default_rng(1), 10.0)
+def star(slots) -> Graph:
+    """A home in the middle, bays and slots around it."""
+    edges = [
+        (f"home{way}{name}", *ends, 5.0)
+        for name in (*BAYS, *slots)
+        for way, ends in ((">", ("home", name)), ("<", (name, "home")))
+    ]
+    vertices = [(name, float(x), 0.0) for x, name in enumerate(("home", *BAYS, *slots))]
+    return make_graph("books", vertices, edges, {"slot": slots, "bay": BAYS, "home": ("home",)})
 
 
-def park(garage: Garage, car: str) -> Job:
-    return garage.request(Request(0.0, RequestKind.PARK, car), 0.0)
+GRAPH = star(SLOTS)
+BIG = star(tuple(f"s{k}" for k in range(20)))
+
+
+def empty(handover="bay", **customers) -> Garage:
+    return Garage(GRAPH, handover, np.random.default_rng(1), Customers(10.0, **customers))
+
+
+def park(garage: Garage, car: str, now_s: float = 0.0) -> Job:
+    return garage.request(Request(now_s, RequestKind.PARK, car), now_s)
 
 
 def retrieve(garage: Garage, car: str) -> Job:
@@ -55,7 +66,7 @@ class Books(RuleBasedStateMachine):
     def open_garage(self, handover, cars):
         self.garage = empty(handover)
         self.garage.place_initial([f"early{k}" for k in range(cars)], np.random.default_rng(cars))
-        #: car -> "coming", "parked", "leaving"; a car that is refused or has left is not here
+        #: car -> "coming", "parked", "leaving"; a car that was turned away or has left is not here
         self.cars = {f"early{k}": "parked" for k in range(cars)}
         self.asked: set[str] = set()
         self.called: list[Job] = []
@@ -63,35 +74,45 @@ class Books(RuleBasedStateMachine):
         self.carried: list[Job] = []
         self.boarding: list[Job] = []
         self.now_s = 0.0
-        self.made = self.served = self.refused = 0
+        self.away: set[str] = set()
+        self.made = self.served = self.turned_away = self.void = 0
 
     @rule(car=st.sampled_from("abcdef"))
     def customer_comes(self, car):
         job = park(self.garage, car)
         self.made += 1
-        if car in self.cars or len(self.cars) == len(SLOTS):
-            assert job.state == "refused"
-            assert job.reason == ("car is in the garage already" if car in self.cars else "garage full")
-            self.refused += 1
+        places = list(self.cars.values())
+        if car in self.cars:
+            assert (job.state, job.reason) == ("void", "car is in the garage already")
+            self.void += 1
+        elif len(places) - places.count("leaving") == len(SLOTS):
+            assert job.state == "turned_away"
+            parked, queue, coming = (int(n) for n in re.findall(r"\d+", job.reason))
+            assert parked == places.count("parked")
+            assert queue + coming == places.count("coming")
+            assert queue == len(self.garage.queue)
+            self.turned_away += 1
+            self.away.add(car)
         else:
             assert job.state == "waiting"
             self.cars[car] = "coming"
+            self.away.discard(car)
 
     @rule(car=st.sampled_from(["a", "b", "c", "d", "e", "f", "early0", "early1", "unknown"]))
     def customer_wants_the_car_back(self, car):
         job = retrieve(self.garage, car)
         self.made += 1
         if car not in self.cars or car in self.asked:
-            assert job.state == "refused"
-            assert job.reason == ("car is asked for already" if car in self.cars else "car is not in the garage")
-            self.refused += 1
+            gone = "car was turned away" if car in self.away else "car is not in the garage"
+            assert (job.state, job.reason) == ("void", "car is asked for already" if car in self.cars else gone)
+            self.void += 1
         else:
             assert job.state == "waiting"
             self.asked.add(car)
 
     @rule(closed=st.sets(st.sampled_from(GRAPH.bays), max_size=2))
     def cars_are_called_forward(self, closed):
-        for command in self.garage.call_forward(frozenset(closed)):
+        for command in self.garage.call_forward(self.now_s, frozenset(closed)):
             assert isinstance(command, CallForward)
             assert command.bay not in closed
             self.called.append(self.garage.bays[command.bay].inbound)
@@ -113,7 +134,10 @@ class Books(RuleBasedStateMachine):
     def an_agv_takes_a_job(self, data):
         job = data.draw(st.sampled_from(self.garage.open))
         free = [int(v) for v in self.garage.slots[self.garage.slot_free]]
-        assert free or not job.is_park, "a car was let in without a slot for it"
+        if job.is_park and not free:
+            leaving = [job for job in self.carried if not job.is_park and job.destination < 0]
+            assert leaving, "a car was let in without a slot for it"
+            return
         slot = data.draw(st.sampled_from(free)) if job.is_park else -1
         self.garage.assign(job, 0, self.now_s, job.origin if job.origin >= 0 else GRAPH.homes[0], slot)
         self.assigned.append(job)
@@ -195,8 +219,9 @@ class Books(RuleBasedStateMachine):
         assert self.garage.in_transit() == where.count("coming") + where.count("leaving")
         states = [job.state for job in self.garage.jobs]
         assert len(states) == self.made
-        assert (states.count("served"), states.count("refused")) == (self.served, self.refused)
-        assert self.garage.unfinished == self.made - self.served - self.refused
+        counts = [states.count(state) for state in ("served", "turned_away", "void")]
+        assert counts == [self.served, self.turned_away, self.void]
+        assert self.garage.unfinished == self.made - sum(counts)
 
     @invariant()
     def no_slot_is_given_twice(self):
@@ -216,18 +241,69 @@ TestBooks = Books.TestCase
 TestBooks.settings = settings(max_examples=80, stateful_step_count=40, deadline=None)
 
 
-def test_a_full_garage_refuses_and_takes_again_when_a_car_has_left():
+def test_a_full_garage_turns_customers_away_until_a_car_is_lifted_to_go_out():
     garage = with_cars("a", "b", "c")
     assert park(garage, "d").state == "waiting"
     late = park(garage, "e")
-    assert (late.state, late.reason) == ("refused", "garage full")
+    assert late.state == "turned_away"
+    assert late.reason == "every slot is taken or promised: 3 parked, 0 in the queue, 1 on their way in"
+    out = retrieve(garage, "a")
+    garage.assign(out, 0, 1.0, out.origin)
+    assert park(garage, "f").state == "turned_away", "the car still stands in its slot"
+    garage.lifted(out, 2.0)
+    assert park(garage, "g").state == "waiting", "a car on its way out needs no slot"
+    assert park(garage, "h").state == "turned_away"
+    assert garage.audit() == []
+    assert all(math.isnan(job.done_s) for job in garage.jobs), "who is turned away is not done"
+
+
+def test_cars_in_the_queue_have_slots_promised_to_them():
+    garage = empty()
+    for car in "abcd":
+        park(garage, car)
+    garage.call_forward(0.0)
+    assert park(garage, "e").reason == "every slot is taken or promised: 0 parked, 2 in the queue, 2 on their way in"
+
+
+def test_a_car_that_was_turned_away_cannot_be_asked_for_and_may_come_again():
+    garage = with_cars("a", "b", "c", "d")
+    park(garage, "e")
+    job = retrieve(garage, "e")
+    assert (job.state, job.reason) == ("void", "car was turned away")
     out = retrieve(garage, "a")
     garage.assign(out, 0, 1.0, out.origin)
     garage.lifted(out, 2.0)
-    assert park(garage, "f").state == "refused", "a slot is promised to the car on its way in"
-    garage.lowered(out, 3.0)
-    assert park(garage, "g").state == "waiting"
-    assert garage.audit() == []
+    assert park(garage, "e").state == "waiting"
+    assert retrieve(garage, "e").state == "waiting"
+
+
+def test_customers_turn_away_at_a_queue_of_so_many_cars():
+    garage = empty(balk_cars=1)
+    assert [park(garage, car).state for car in "a"] == ["waiting"]
+    garage.call_forward(0.0)
+    assert park(garage, "b", 1.0).state == "waiting", "the first car is at its bay, nobody waits"
+    away = park(garage, "c", 2.0)
+    assert (away.state, away.reason) == ("turned_away", "queue too long: 1 car")
+    garage.call_forward(3.0)
+    assert park(garage, "c", 4.0).state == "waiting"
+
+
+def test_customers_turn_away_at_a_queue_that_they_expect_to_last_so_long():
+    """Both bays are taken at once, then the head of the queue leaves it every 40 s; a customer bears two minutes."""
+    garage = Garage(BIG, "bay", np.random.default_rng(1), Customers(balk_s=120.0))
+    jobs = [park(garage, f"car{k}") for k in range(6)]
+    garage.call_forward(0.0)
+    for time_s, job in ((40.0, jobs[0]), (80.0, jobs[1])):
+        garage.car_at_bay(job.number, job.origin, time_s - 10.0)
+        garage.assign(job, 0, time_s, job.origin, int(garage.slots[garage.slot_free][0]))
+        garage.lifted(job, time_s)
+        garage.call_forward(time_s)
+    assert len(garage.queue) == 2
+    assert garage.queue.expected_s(80.0) == 80.0
+    assert park(garage, "joins", 80.0).state == "waiting"
+    assert garage.queue.expected_s(80.0) == 120.0
+    assert park(garage, "not", 80.0).reason == "queue too long: 2.0 min"
+    assert garage.queue.expected_s(180.0) == 300.0, "its head has stood there for 100 s: the queue has become slower"
 
 
 def test_a_car_asked_for_before_it_is_parked_is_brought_as_soon_as_it_is():
@@ -249,7 +325,8 @@ def test_a_car_that_is_not_there_cannot_be_had(car):
     garage.lifted(out, 2.0)
     garage.lowered(out, 3.0)
     job = retrieve(garage, car)
-    assert (job.state, job.reason, job.done_s) == ("refused", "car is not in the garage", 0.0)
+    assert (job.state, job.reason) == ("void", "car is not in the garage")
+    assert math.isnan(job.done_s)
     assert garage.open == []
 
 
@@ -260,18 +337,18 @@ def test_a_car_is_fetched_once_however_often_it_is_asked_for(parked):
         park(garage, "a")
     assert retrieve(garage, "a").state == "waiting"
     again = retrieve(garage, "a")
-    assert (again.state, again.reason) == ("refused", "car is asked for already")
+    assert (again.state, again.reason) == ("void", "car is asked for already")
 
 
 def test_a_bay_takes_the_next_customer_as_soon_as_its_car_is_lifted():
     garage = empty()
     jobs = [park(garage, car) for car in "abc"]
-    assert [command.request for command in garage.call_forward()] == [0, 1]
+    assert [command.request for command in garage.call_forward(2.0)] == [0, 1]
     garage.car_at_bay(0, jobs[0].origin, 1.0)
     garage.assign(jobs[0], 0, 1.0, jobs[0].origin, GRAPH.slots[0])
-    assert garage.call_forward() == []
+    assert garage.call_forward(2.0) == []
     garage.lifted(jobs[0], 2.0)
-    assert garage.call_forward() == [CallForward(2, jobs[0].origin)]
+    assert garage.call_forward(2.0) == [CallForward(2, jobs[0].origin)]
 
 
 def test_a_bay_is_kept_until_its_customer_has_driven_off():

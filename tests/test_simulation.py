@@ -89,7 +89,7 @@ def check_events(events):
 
 
 def test_a_car_may_come_again_when_it_has_left(tmp_path):
-    """The same name twice, in SUMO; and requests that make no sense are refused, each with its reason."""
+    """The same name twice, in SUMO; and requests that make no sense are void, each with its reason."""
     rows = ["0,park,a", "0,park,b", "5,retrieve,a", "1500,park,a", "1501,retrieve,b", "1502,retrieve,a"]
     (tmp_path / "gate.csv").write_text("time_s,kind,car\n" + "\n".join(rows) + "\n", encoding="utf-8")
     record = run(
@@ -101,7 +101,7 @@ def test_a_car_may_come_again_when_it_has_left(tmp_path):
     assert list(record.tasks.state) == ["served"] * 6
 
 
-def test_a_car_that_comes_again_before_it_has_left_is_refused(tmp_path):
+def test_a_car_that_comes_again_before_it_has_left_is_void(tmp_path):
     rows = ["0,park,a", "1,retrieve,a", "2,park,a", "3,retrieve,a"]
     (tmp_path / "gate.csv").write_text("time_s,kind,car\n" + "\n".join(rows) + "\n", encoding="utf-8")
     record = run(
@@ -110,7 +110,7 @@ def test_a_car_that_comes_again_before_it_has_left_is_refused(tmp_path):
     )  # fmt: skip
     check_whole(record)
     assert record.meta["status"] == "finished"
-    assert list(record.tasks.state) == ["served", "served", "refused", "refused"]
+    assert list(record.tasks.state) == ["served", "served", "void", "void"]
     assert list(record.tasks.reason)[2:] == ["car is in the garage already", "car is asked for already"]
 
 

@@ -25,7 +25,7 @@ def check_whole(record: Run) -> None:
     meta, tasks = record.meta, record.tasks
     assert meta["audit"] == []
     assert (meta["sumo_collisions"], meta["footprint_overlaps"]) == (0, 0)
-    arrived = tasks[(tasks.kind == "park") & (tasks.state != "refused")]
+    arrived = tasks[(tasks.kind == "park") & ~tasks.state.isin(("turned_away", "void"))]
     parked = arrived[arrived.state == "served"]
     gone = tasks[(tasks.kind == "retrieve") & (tasks.state == "served")]
     assert meta["cars_arrived"] == len(arrived)
@@ -35,7 +35,7 @@ def check_whole(record: Run) -> None:
     assert meta["cars_in_transit"] == len(arrived) - len(parked) + len(lifted) - len(gone)
     made = record.events[record.events.kind == "request_made"]
     assert len(made) == len(tasks)
-    assert set(tasks.state) <= {"served", "waiting", "refused"}
+    assert set(tasks.state) <= {"served", "waiting", "turned_away", "void"}
 
 
 def check_all_done(record: Run, cars: int) -> None:
