@@ -84,6 +84,7 @@ DIALECTS: dict[str, tuple[str, str, dict[str, str]]] = {
         {},
     ),
     "Oracle": (written(PLAIN, "%d-%b-%Y %H:%M:%S", ("out", "in"), "|"), "utf-16-le", {}),
+    "month in words": (written(PLAIN, '"%B %d, %Y %I:%M %p"', ("out", "in")), "utf-8", {}),
     "digits": (written(PLAIN, "%Y%m%d%H%M%S", ("out", "in")), "utf-8", {}),
     "Excel, decimal comma": (
         written(
@@ -138,8 +139,8 @@ def test_the_same_log_in_any_dialect_is_the_same_log(tmp_path: Path, name: str) 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("when,event\n", "row 1: 'when,event': which column is the time"),
-        ("when;who\n", "which column is the time and the event"),
+        ("when,event\n", "row 1: 'when,event': no column for the time"),
+        ("when;who\n", "no column for the time and the event"),
         ("time,event\n", "no movements"),
         ("\n\n", "no movements"),
         ("time,event\nnoon,in\n", "row 2: time: 'noon': give such as 2024-05-04 13:07:30"),
@@ -203,6 +204,12 @@ def test_offsets_of_summer_and_winter_count_by_one_clock(tmp_path: Path) -> None
     text = "time,event\n2024-03-30T10:30+01:00,in\n2024-04-01T10:30+02:00,out\n"
     log = log_of(tmp_path, text, Dialect(zone="Europe/Berlin"))
     assert log.hours.tolist() == [10.5, 58.5]
+
+
+def test_movements_of_one_moment_stand_for_their_day(tmp_path: Path) -> None:
+    log = log_of(tmp_path, "time,event\n" + "2024-05-04 10:30,in\n" * 3)
+    assert log.covered == ((0.0, 24.0),)
+    assert fit_profile(log, 3, "x").arrivals_between(10, 11) == pytest.approx(1)
 
 
 def test_rows_left_out_are_counted(tmp_path: Path) -> None:
@@ -394,7 +401,7 @@ def test_a_fit_says_how_many_days_it_rests_on(tmp_path: Path) -> None:
     assert basis(log, "weekdays") == ["days covered: 5.0 Mondays to Fridays"]
     lines = basis(log, "sat")
     assert lines[0] == "days covered: 2.0 Saturdays"
-    assert lines[1].startswith("warning: fewer than 4 Saturdays")
+    assert lines[1].startswith("warning: the log has fewer than 4 Saturdays")
     assert "no log of the hours 0, 1, 2" in basis(cut(log, datetime(2024, 5, 11, 3), None), "sat")[2]
 
 
@@ -479,9 +486,9 @@ def test_the_commands_print_what_they_did(tmp_path: Path, capsys: pytest.Capture
         main(["fit-profile", str(tmp_path / "log.csv"), "--slots", "90", "--out", str(tmp_path / "p.yaml"), *told])
     said = capsys.readouterr().out
     assert "read: " in said
-    assert "warning: fewer than 4 Mondays to Fridays" in said
+    assert "warning: the log has fewer than 4 Mondays to Fridays" in said
     assert "fitted to 48 h on 3 days" in said
     with pytest.raises(SystemExit, match="2"):
         main(["fit-profile", str(tmp_path / "log.csv"), "--slots", "90", "--out", str(tmp_path / "q.yaml")])
-    assert "which column is the time" in capsys.readouterr().err
+    assert "no column for the time" in capsys.readouterr().err
     assert not (tmp_path / "q.yaml").exists()

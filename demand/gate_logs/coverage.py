@@ -41,7 +41,9 @@ def ends(hours: Floats) -> Stretch:
         Begin and end.
     """
     first, last = float(hours[0]), float(hours[-1])
-    before, after = (float(hours[1] - hours[0]), float(hours[-1] - hours[-2])) if len(hours) > 1 else (24.0, 24.0)
+    if first == last:
+        return first // 24 * 24, first // 24 * 24 + 24
+    before, after = float(hours[1] - hours[0]), float(hours[-1] - hours[-2])
     return max(first - before, first // 24 * 24), min(last + after, last // 24 * 24 + 24)
 
 

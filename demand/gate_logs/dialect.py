@@ -203,11 +203,11 @@ def _find_header(lines: list[str], dialect: Dialect, path: Path) -> tuple[int, s
     cells = max((_split(lines[first], separator) for separator in _SEPARATORS), key=len)
     missing = _missing(_candidates(cells, dialect.columns))
     given = [f"{role}={name}" for role, name in dialect.columns.items() if _bare(name) not in map(_bare, cells)]
-    asked = (
-        f"--columns {','.join(given)}: no such column" if given else f"which column is the {' and the '.join(missing)}?"
+    wrong = (
+        f"--columns {','.join(given)}: no such column" if given else f"no column for the {' and the '.join(missing)}"
     )
     raise InputError(
-        f"{path}: row {first + 1}: {','.join(cells)!r}: {asked}; give such as --columns time=NAME,event=NAME,car=NAME"
+        f"{path}: row {first + 1}: {','.join(cells)!r}: {wrong}; give such as --columns time=NAME,event=NAME,car=NAME"
     )
 
 

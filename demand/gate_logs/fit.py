@@ -91,7 +91,7 @@ def basis(log: GateLog, days: str) -> list[str]:
     few = [name for name, count in counts.items() if count < _ENOUGH_DAYS - 0.5]
     if few:
         lines.append(
-            f"warning: fewer than {_ENOUGH_DAYS} {' and '.join(few)}: one unusual day weighs much in the profile"
+            f"warning: the log has fewer than {_ENOUGH_DAYS} {', '.join(few)}: one odd day weighs much in the profile"
         )
     silent = np.flatnonzero(covered.sum(axis=0) < 1e-9)
     if len(silent):

@@ -18,8 +18,10 @@ _STAMP = re.compile(
 )
 _NUMBER = re.compile(r"^\d+(?:[.,]\d+)?$")
 _DIGITS = re.compile(r"^((?:19|20)\d{2})(\d{2})(\d{2})[T ]?(\d{2})(\d{2})(\d{2})$")
-_MONTH = re.compile(r"\b(\d{1,2})[-\s.]+(Jan|Feb|Mar|Apr|May|Jun|Jul|Aug|Sep|Oct|Nov|Dec)[a-z]*[-\s.,]+(\d{4})", re.I)
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_MONTH_NAME = rf"(?P<month>{'|'.join(_MONTHS)})[a-z]*"
+_DAY_MONTH = re.compile(rf"\b(?P<day>\d{{1,2}})[-\s.]+{_MONTH_NAME}[-\s.,]+(?P<year>\d{{4}})", re.IGNORECASE)
+_MONTH_DAY = re.compile(rf"\b{_MONTH_NAME}\.?\s+(?P<day>\d{{1,2}}),?\s+(?P<year>\d{{4}})", re.IGNORECASE)
 #: Unit of a number -> the greatest number that is one: days since 1899-12-30 (Excel), then parts since 1970.
 _UNITS = (("D", 1e5), ("s", 1e10), ("ms", 1e13), ("us", 1e16))
 _LIKE = "give such as 2024-05-04 13:07:30"
@@ -74,7 +76,10 @@ def read_stamps(cells: pd.Series[str], path: Path, dates: str, zone: str) -> tup
 
 def _spelt_out(text: str) -> str:
     """Month names as numbers, and 20240504130730 with marks."""
-    text = _MONTH.sub(lambda m: f"{m[1]}.{_MONTHS.index(m[2].lower()) + 1}.{m[3]}", text.strip())
+    text = text.strip()
+    if found := _DAY_MONTH.search(text) or _MONTH_DAY.search(text):
+        number = _MONTHS.index(found["month"].lower()) + 1
+        text = f"{text[: found.start()]}{found['day']}.{number}.{found['year']}{text[found.end() :]}"
     return _DIGITS.sub(r"\1-\2-\3 \4:\5:\6", text)
 
 
