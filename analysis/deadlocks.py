@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analysis.figures import words
+from controller.types import AgvNumber
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,11 +49,11 @@ class Deadlock:
     number: int
     found_s: float
     cause: str
-    members: tuple[int, ...]
-    waits: Mapping[int, int]
-    wants: Mapping[int, str]
-    holds: Mapping[int, tuple[str, ...]]
-    goals: Mapping[int, str]
+    members: tuple[AgvNumber, ...]
+    waits: Mapping[AgvNumber, AgvNumber]
+    wants: Mapping[AgvNumber, str]
+    holds: Mapping[AgvNumber, tuple[str, ...]]
+    goals: Mapping[AgvNumber, str]
     tried: Mapping[str, int]
     stage: str
     cost_s: float
@@ -85,11 +86,11 @@ def deadlocks(run: Run) -> list[Deadlock]:
                 number,
                 found_s,
                 str(row.get("cause", "")),
-                tuple(int(n) for n in row.get("members", ())),
-                {int(n): int(other) for n, other in _mapping(row, "waits")},
-                {int(n): str(name) for n, name in _mapping(row, "wants")},
-                {int(n): tuple(names) for n, names in _mapping(row, "holds")},
-                {int(n): str(name) for n, name in _mapping(row, "goals")},
+                tuple(AgvNumber(int(n)) for n in row.get("members", ())),
+                {AgvNumber(int(n)): AgvNumber(int(other)) for n, other in _mapping(row, "waits")},
+                {AgvNumber(int(n)): str(name) for n, name in _mapping(row, "wants")},
+                {AgvNumber(int(n)): tuple(names) for n, names in _mapping(row, "holds")},
+                {AgvNumber(int(n)): str(name) for n, name in _mapping(row, "goals")},
                 tried.get(number, Counter()),
                 str(end.get("stage", "")),
                 cost_s,

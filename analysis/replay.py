@@ -172,11 +172,6 @@ def _timeline(line: pd.DataFrame, window: Window, every: int) -> dict[str, Ints]
     }
 
 
-Pose = tuple[int, int, int]
-#: Place, car, from, ready, to (seconds), vertex, pose.
-_Stay = tuple[int, str, float, float, float, int, Pose]
-
-
 # --- what went wrong ----------------------------------------------------------------------------------------------
 
 

@@ -12,7 +12,8 @@ import numpy as np
 from analysis.replay_data import Floats, Ints, Pose, Window, cm, ms
 from analysis.replay_floor import INBOUND, OUTBOUND, SLOT, Floor
 from analysis.tables import Run
-from controller.types import AgvMode
+from controller.types import NO_AGV, AgvMode, AgvNumber
+from sumo_nets.numbering import Vertex
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 #: Modes by number.
 MODES: Final = tuple(mode.value for mode in AgvMode)
 #: Place, car, from, ready, to (seconds), vertex, pose.
-_Stay = tuple[int, str, float, float, float, int, Pose]
+_Stay = tuple[int, str, float, float, float, Vertex, Pose]
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Track:
     time_s: Floats
     columns: Mapping[str, Ints]
 
-    def pose(self, agv: int, time_s: float) -> tuple[int, int, int]:
+    def pose(self, agv: AgvNumber, time_s: float) -> tuple[int, int, int]:
         """Where an AGV was at the last sample before a time."""
         k = max(0, int(np.searchsorted(self.time_s, time_s, side="right")) - 1)
         x, y, angle = (int(self.columns[name][k, agv]) for name in ("x", "y", "angle"))
@@ -125,10 +126,10 @@ def _street_stays(run: Run, floor: Floor) -> list[_Stay]:
 
 def _slot_stays(run: Run, floor: Floor, track: Track) -> list[_Stay]:
     """Pair each car's arrivals in a slot with its departures, both in order of time."""
-    begins: dict[str, list[tuple[float, str, int]]] = {}
-    ends: dict[str, list[tuple[float, int]]] = {}
+    begins: dict[str, list[tuple[float, str, AgvNumber]]] = {}
+    ends: dict[str, list[tuple[float, AgvNumber]]] = {}
     for event in run.events[run.events["kind"] == "car_initial"].to_dict("records"):
-        begins.setdefault(event["car"], []).append((0.0, event["vertex"], -1))
+        begins.setdefault(event["car"], []).append((0.0, event["vertex"], NO_AGV))
     for task in run.tasks.sort_values("requested_s", kind="stable").to_dict("records"):
         if task["kind"] == "park" and math.isfinite(task["delivered_s"]):
             begins.setdefault(task["car"], []).append((task["delivered_s"], task["destination"], task["agv"]))
@@ -138,7 +139,7 @@ def _slot_stays(run: Run, floor: Floor, track: Track) -> list[_Stay]:
     for car, arrivals in begins.items():
         departures = ends.get(car, [])
         for k, (begin, slot, agv) in enumerate(arrivals):
-            end, lifter = departures[k] if k < len(departures) else (math.inf, -1)
+            end, lifter = departures[k] if k < len(departures) else (math.inf, NO_AGV)
             pose = floor.standing(slot)
             if agv >= 0 or lifter >= 0:
                 pose = track.pose(agv, begin) if agv >= 0 else track.pose(lifter, end)

@@ -11,6 +11,7 @@ import numpy as np
 
 from analysis.replay_data import Floats, Ints, Pose, cm, tenths
 from analysis.tables import Run
+from sumo_nets.numbering import EdgeIndex, Numbered, Vertex, numbered
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,10 +37,10 @@ class Floor:
         xy: vertices in metres.
     """
 
-    index: Mapping[str, int]
+    index: Mapping[str, Vertex]
     drawn: Mapping[str, Any]
-    places: Mapping[str, Sequence[int]]
-    bodies: Mapping[int, Pose]
+    places: Mapping[str, Sequence[Vertex]]
+    bodies: Mapping[Vertex, Pose]
     streets: Sequence[Floats]
     xy: Floats
 
@@ -64,15 +65,15 @@ def read_floor(run: Run) -> Floor:
     """The floor of a recorded run."""
     names = run.vertices["vertex"].tolist()
     xy = run.vertices[["x_m", "y_m"]].to_numpy(dtype=np.float64)
-    roles = [set(text.split(",")) for text in run.vertices["roles"]]
-    places = {role: [v for v, has in enumerate(roles) if role in has] for role in _ROLES}
+    roles: Numbered[Vertex, set[str]] = [set(text.split(",")) for text in run.vertices["roles"]]
+    places = {role: [v for v, has in numbered(roles) if role in has] for role in _ROLES}
     ends = run.edges[["tail", "head"]].to_numpy(dtype=np.int64)
     lines = _lines(run.shapes)
     lanes = {edge: line for edge, _, line in lines if edge >= 0}
     streets = [(part, line) for edge, part, line in lines if edge < 0]
     spurs = _spur_ends(ends, places["slot"])
     length = ((run.meta.get("scenario") or {}).get("agv") or {}).get("length_m", 4.7)
-    bodies = {int(head): _body(lanes[e], length) for e, (_, head) in enumerate(ends) if e in lanes}
+    bodies = {Vertex(int(head)): _body(lanes[EdgeIndex(e)], length) for e, (_, head) in enumerate(ends) if e in lanes}
     drawn = {
         "names": names,
         "xy": cm(xy).tolist(),
@@ -84,10 +85,10 @@ def read_floor(run: Run) -> Floor:
         "streets": [[part, cm(line).ravel().tolist()] for part, line in streets],
     }  # fmt: skip
     near = [line for part, line in streets if part != "entry"]
-    return Floor({name: v for v, name in enumerate(names)}, drawn, places, bodies, near, xy)
+    return Floor({name: Vertex(v) for v, name in enumerate(names)}, drawn, places, bodies, near, xy)
 
 
-def _lines(shapes: pd.DataFrame) -> list[tuple[int, str, Floats]]:
+def _lines(shapes: pd.DataFrame) -> list[tuple[EdgeIndex, str, Floats]]:
     """Edge, part of the street and points of each line."""
     first = np.flatnonzero(np.diff(shapes["line"].to_numpy(), prepend=-1))
     points = np.split(shapes[["x_m", "y_m"]].to_numpy(dtype=np.float64), first[1:])
@@ -95,10 +96,10 @@ def _lines(shapes: pd.DataFrame) -> list[tuple[int, str, Floats]]:
     return list(zip(heads["edge"].tolist(), heads["part"].tolist(), points, strict=bool(len(first))))
 
 
-def _spur_ends(ends: Ints, slots: Iterable[int]) -> set[int]:
+def _spur_ends(ends: Ints, slots: Iterable[Vertex]) -> set[Vertex]:
     """Vertices with one lane in and one out, by the same neighbour; none on an open floor, where slots are aisle."""
-    tails: dict[int, list[int]] = {}
-    heads: dict[int, list[int]] = {}
+    tails: dict[Vertex, list[Vertex]] = {}
+    heads: dict[Vertex, list[Vertex]] = {}
     for tail, head in ends.tolist():
         heads.setdefault(tail, []).append(head)
         tails.setdefault(head, []).append(tail)
@@ -106,7 +107,7 @@ def _spur_ends(ends: Ints, slots: Iterable[int]) -> set[int]:
     return found if found.issuperset(slots) else set()
 
 
-def _drawn_lanes(xy: Floats, ends: Ints, lanes: Mapping[int, Floats], spurs: set[int]) -> list[list[int]]:
+def _drawn_lanes(xy: Floats, ends: Ints, lanes: Mapping[EdgeIndex, Floats], spurs: set[Vertex]) -> list[list[int]]:
     """Kind (0 two-way, 1 one-way, 2 spur), ends and points of each lane; both directions of one lane once."""
     directed = {(int(tail), int(head)) for tail, head in ends}
     rows = []
@@ -115,7 +116,7 @@ def _drawn_lanes(xy: Floats, ends: Ints, lanes: Mapping[int, Floats], spurs: set
         if two_way and tail > head:
             continue
         spur = two_way and (tail in spurs or head in spurs)
-        points = lanes.get(e, xy[[tail, head]]) if spur else xy[[tail, head]]
+        points = lanes.get(EdgeIndex(e), xy[[tail, head]]) if spur else xy[[tail, head]]
         rows.append([2 if spur else 0 if two_way else 1, tail, head, *cm(points).ravel().tolist()])
     return rows
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from controller.types import AgvNumber
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -15,7 +17,7 @@ class Meeting(NamedTuple):
 
     kind: str
     time_s: float
-    agvs: tuple[int, int]
+    agvs: tuple[AgvNumber, AgvNumber]
 
 
 def meetings(trajectory: pd.DataFrame) -> list[Meeting]:
@@ -42,7 +44,7 @@ def meetings(trajectory: pd.DataFrame) -> list[Meeting]:
             a, b = place[:, j], place[:, i]
             same = np.flatnonzero(a == b)
             swap = np.flatnonzero((a[1:] == b[:-1]) & (b[1:] == a[:-1]) & (a[1:] != a[:-1])) + 1
-            pair = (int(agvs[j]), int(agvs[i]))
+            pair = (AgvNumber(int(agvs[j])), AgvNumber(int(agvs[i])))
             found += [Meeting("vertex", float(times[t]), pair) for t in same]
             found += [Meeting("swap", float(times[t]), pair) for t in swap]
     return sorted(found, key=lambda m: (m.time_s, m.agvs, m.kind))

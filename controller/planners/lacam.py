@@ -45,7 +45,7 @@ from controller.types import (
     Status,
 )
 from sumo_nets.graph import Graph, IntArray
-from sumo_nets.numbering import Vertex
+from sumo_nets.numbering import NO_VERTEX, Vertex
 
 #: Added for each vertex of distance when places are ranked; below it ties are broken.
 _UNIT = 16
@@ -69,7 +69,7 @@ class _Constraint(NamedTuple):
 
     parent: _Constraint | None = None
     agent: int = NOBODY
-    vertex: int = NOBODY
+    vertex: Vertex = NO_VERTEX
     depth: int = 0
 
 
