@@ -24,17 +24,24 @@ def size_curve(sizing: Sizing) -> Drawing:
     from parking_sim.sizing import SIZED
 
     word, name = SIZED[sizing.what], f"size-{sizing.what}"
+    scale = 100.0 if sizing.target.unit == "%" else 1.0
+    limit = scale * sizing.target.limit
+    means = [tried.mean.mean if math.isfinite(tried.mean.mean) else math.nan for tried in sizing.tried]
     with style():
         figure, (axes,) = new_figure(3.0)
-        for tried in sizing.tried:
-            mean = tried.mean
-            half = mean.half if math.isfinite(mean.half) else 0.0
-            axes.errorbar(tried.number, mean.mean, half, color=BLUE if tried.meets else GREY, marker="o", capsize=3)
-        axes.plot([t.number for t in sizing.tried], [t.mean.mean for t in sizing.tried], color=GREY, linewidth=1)
-        axes.axhline(sizing.target.limit_s, color=RED, linestyle="--", label=f"{sizing.target.limit_s:g} s")
+        for tried in (tried for tried in sizing.tried if math.isfinite(tried.mean.mean)):
+            mean, half = scale * tried.mean.mean, scale * tried.mean.half
+            color = BLUE if tried.meets else GREY
+            axes.errorbar(tried.number, mean, half if math.isfinite(half) else 0.0, color=color, marker="o", capsize=3)
+        axes.plot([t.number for t in sizing.tried], [scale * m for m in means], color=GREY, linewidth=1)
+        axes.axhline(limit, color=RED, linestyle="--", label=f"{limit:g} {sizing.target.unit}")
+        endless = [tried.number for tried in sizing.tried if math.isinf(tried.mean.mean)]
+        if endless:
+            top, told = axes.get_xaxis_transform(), "waits without end: too many turned away"
+            axes.plot(endless, [0.97] * len(endless), "x", color=RED, transform=top, label=told)
         axes.set_xticks([tried.number for tried in sizing.tried])
         axes.set_xlabel(word)
-        axes.set_ylabel(f"{sizing.target.words.partition(' <')[0]}, s")
+        axes.set_ylabel(f"{sizing.target.words.partition(' <')[0]}, {sizing.target.unit}")
         axes.set_ylim(bottom=0)
         axes.legend(fontsize=8)
         text = svg(figure, name, f"Number of {word}")

@@ -33,7 +33,7 @@ def main() -> None:
     """Print for each target the answer of both and the share of the runs."""
     given = arguments()
     targets = [parse_target(text) for text in given.targets.split(",")]
-    values = grid(scenario(given, max(target.limit_s for target in targets)), targets, given)
+    values = grid(scenario(given, max(target.goes_on_s for target in targets)), targets, given)
     whole = len(SEEDS) * given.most
     print(f"{given.garage}: a grid of 1 to {given.most} AGVs with {len(SEEDS)} seeds is {whole} runs")
     for target in targets:
@@ -58,8 +58,8 @@ def both(target: Target, known: dict[int, list[float]]) -> tuple[Sizing, int | N
 
 
 def spread(key: str, known: dict[int, list[float]], count: int) -> list[Target]:
-    """Targets with limits from below the least to above the greatest mean."""
-    means = [interval(values).mean for values in known.values()]
+    """Targets with limits from below the least to above the greatest mean that is not infinite."""
+    means = [mean for values in known.values() if np.isfinite(mean := interval(values).mean)]
     return [
         Target(f"{key} < {x:.0f} s", key, float(x)) for x in np.linspace(0.8 * min(means), 1.05 * max(means), count)
     ]
@@ -109,7 +109,7 @@ def grid(base: Scenario, targets: Sequence[Target], given: argparse.Namespace) -
 
 def brute_force(known: dict[int, list[float]], target: Target) -> int | None:
     """The smallest fleet whose 30 seeds meet the target."""
-    good = (n for n in sorted(known) if interval(known[n], 2 * LAST_CONFIDENCE - 1).high < target.limit_s)
+    good = (n for n in sorted(known) if interval(known[n], 2 * LAST_CONFIDENCE - 1).high < target.limit)
     return next(good, None)
 
 

@@ -7,6 +7,9 @@ One looks after 3, 5, 8, 12, 18 and 30 seeds. To meet the target takes one-sided
 often one has looked. To miss it 95 % are enough, for that errs to the safe side. A number that remains unclear after
 the last seed does not meet the target.
 
+Customers who are turned away count as missed: each waits without end in the measure of a seed. Where the quantile falls
+among them, or the target is about a mean or a maximum, the seed's value is infinite, and so is the mean over seeds.
+
 That is right if more AGVs never make the wait longer up to the answer. Where they get in each other's way the curve
 turns up again, so that a target that the greatest fleet misses is also looked for around the best number seen.
 """
@@ -21,13 +24,18 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from analysis.measures import Interval, interval
+from analysis.turned_away import TurnedAway, turned_away, turned_away_words
 from analysis.variants import variant_of
 from parking_sim.config import Scenario
 from parking_sim.errors import InputError, RunFailedError
 from parking_sim.sweep import Tell, open_folder, run_folder, run_missing, write_plan
 from parking_sim.sweep_plan import RunSpec, make_runs
+
+if TYPE_CHECKING:
+    from analysis.runs import Runs
 
 #: Seeds after which a number is looked at.
 LOOKS = (3, 5, 8, 12, 18, 30)
@@ -44,6 +52,7 @@ _WHAT = {
     "parking": "park_total",
 }
 _TARGET = re.compile(rf"({'|'.join(_WHAT)}) (mean|p50|p90|p95|p99|max) < (\d+(?:\.\d+)?) ?(s|min)")
+_SHARE_TARGET = re.compile(r"turned away < (\d+(?:\.\d+)?) ?%")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +62,28 @@ class Target:
     Attributes:
         words: as it was asked for.
         key: the measure, one of ``analysis.measures.MEASURES``, of which the mean over seeds counts.
-        limit_s: it must be less than this, seconds.
+        limit: it must be less than this, in the unit of the measure.
     """
 
     words: str
     key: str
-    limit_s: float
+    limit: float
+
+    @property
+    def unit(self) -> str:
+        """Unit in which its values are shown."""
+        return "%" if self.key == "turned_away_share" else "s"
+
+    @property
+    def goes_on_s(self) -> float:
+        """How long a run goes on after the last request until all is known, seconds."""
+        return self.limit if self.unit == "s" else 0.0
+
+    def shown(self, value: float) -> str:
+        """A value of the measure as a number of ``unit``."""
+        if math.isinf(value):
+            return "endless"
+        return f"{100 * value:.1f}" if self.unit == "%" else f"{value:.0f}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +93,7 @@ class Tried:
     Attributes:
         number: how many.
         meets: whether it meets the target.
-        values: the measure of each seed, in the order of the seeds.
+        values: the measure of each seed, in the order of the seeds; infinite where customers turned away decide.
     """
 
     number: int
@@ -91,6 +116,7 @@ class Sizing:
         tried: all numbers tried, in order.
         what: of what, a key of ``SIZED``.
         given: what was sized before, and is kept.
+        away: number tried -> the customers turned away in all its runs.
     """
 
     target: Target
@@ -98,6 +124,7 @@ class Sizing:
     tried: tuple[Tried, ...]
     what: str = "agvs"
     given: Mapping[str, int] = field(default_factory=dict)
+    away: Mapping[int, TurnedAway] = field(default_factory=dict)
 
     @property
     def runs(self) -> int:
@@ -114,7 +141,7 @@ def parse_target(text: str) -> Target:
 
     Args:
         text: such as ``retrieval p95 < 5 min``: what (retrieval, retrieval total, queue, parking), its mean, p50, p90,
-            p95, p99 or max, and the limit in s or min.
+            p95, p99 or max, and the limit in s or min; or ``turned away < 1 %``.
 
     Returns:
         The target.
@@ -122,11 +149,15 @@ def parse_target(text: str) -> Target:
     Raises:
         InputError: anything else.
     """
-    match = _TARGET.fullmatch(" ".join(text.split()))
+    words = " ".join(text.split())
+    share = _SHARE_TARGET.fullmatch(words)
+    if share is not None and float(share[1]) > 0:
+        return Target(words, "turned_away_share", float(share[1]) / 100)
+    match = _TARGET.fullmatch(words)
     if match is None or float(match[3]) == 0:
         raise InputError(
             f"--target: {text!r}: give such as 'retrieval p95 < 5 min': one of {', '.join(sorted(_WHAT))};"
-            " mean, p50, p90, p95, p99 or max; a limit in s or min"
+            " mean, p50, p90, p95, p99 or max; a limit in s or min; or 'turned away < 1 %'"
         )
     limit_s = float(match[3]) * (60 if match[4] == "min" else 1)
     return Target(match[0], f"{_WHAT[match[1]]}_{match[2]}_s", limit_s)
@@ -148,7 +179,7 @@ def find_least(target: Target, most: int, measure: Measure, looks: Sequence[int]
 
     def meets(number: int) -> bool:
         if number not in tried:
-            tried[number] = _judge(number, target.limit_s, measure, looks)
+            tried[number] = _judge(number, target.limit, measure, looks)
         return tried[number].meets
 
     low, high = 0, 1
@@ -195,17 +226,20 @@ def size_garage(
     open_folder(folder)
     settings, known = dict(most), dict[str, RunSpec]()
 
-    def measure(what: str, number: int, seeds: Sequence[int]) -> Sequence[float]:
+    def measure(what: str, done: dict[int, list[RunSpec]], number: int, seeds: Sequence[int]) -> Sequence[float]:
         varied = {**settings, what: number}
         specs = make_runs([scenario.model_copy(update=varied)], [variant_of(varied)], seeds)
         known.update((spec.key, spec) for spec in specs)
+        done.setdefault(number, []).extend(specs)
         write_plan(sorted(known.values(), key=lambda spec: [spec.variant.shown[key] for key in most]), folder)
         return measure_specs(specs, target.key, folder, executor, tell)
 
     given: dict[str, int] = {}
     for what, limit in most.items():
-        found = find_least(target, limit, partial(measure, what), looks)
-        yield replace(found, what=what, given=dict(given))
+        done: dict[int, list[RunSpec]] = {}
+        found = find_least(target, limit, partial(measure, what, done), looks)
+        away = {number: _turned_away(specs, folder) for number, specs in done.items()}
+        yield replace(found, what=what, given=dict(given), away=away)
         if found.number is None:
             return
         settings[what] = given[what] = found.number
@@ -224,14 +258,14 @@ def measure_specs(
         tell: called with the progress.
 
     Returns:
-        The measure of each run, in their order; NaN where there was nothing to measure.
+        The measure of each run, in their order, in which each customer who was turned away waits without end; infinite
+        where these decide, NaN where there was nothing to measure.
 
     Raises:
         InputError: a scenario does not fit its garage.
         RunFailedError: a run failed twice.
     """
     from analysis.measures import measure_runs
-    from analysis.runs import Runs
 
     failures = run_missing(specs, folder, executor, tell)
     if failures:
@@ -239,49 +273,70 @@ def measure_specs(
         raise (InputError if first.is_input else RunFailedError)(
             f"{first.spec.variant.name}, seed {first.spec.scenario.seed}: {first.error}"
         )
-    runs = Runs({spec.key: run_folder(spec, folder) for spec in specs})
-    return [float(value) for value in measure_runs(runs)[key]]
+    return [float(value) for value in measure_runs(_runs_of(specs, folder), endless=True)[key]]
+
+
+def _runs_of(specs: Sequence[RunSpec], folder: Path) -> Runs:
+    from analysis.runs import Runs
+
+    return Runs({spec.key: run_folder(spec, folder) for spec in specs})
+
+
+def _turned_away(specs: Sequence[RunSpec], folder: Path) -> TurnedAway:
+    """The customers turned away in some runs together."""
+    return turned_away(_runs_of(specs, folder).sql("SELECT kind, state, reason FROM tasks").df())
 
 
 def answer(sizing: Sizing, where: str) -> str:
-    """The answer in a sentence.
+    """The answer in a sentence, and one more on the customers turned away.
 
     Args:
         sizing: see :func:`size_garage`.
         where: what was sized, such as ``map1, mall-saturday 13 to 16 h``.
     """
     if sizing.number is None:
-        best = min(sizing.tried, key=_mean_or_inf)
+        best = min(sizing.tried, key=_badness)
         return (
             f"No fleet of 1 to {sizing.tried[-1].number} {SIZED[sizing.what]} meets '{sizing.target.words}' in {where}:"
-            f" the best tried, {best.number}, has {_span(best.mean)} ({sizing.runs} runs)."
+            f" the best tried, {best.number}, has {_span(best.mean, sizing.target)} ({sizing.runs} runs)."
+            f"{_away_words(sizing, best.number)}"
         )
     by_number = {tried.number: tried for tried in sizing.tried}
     given = " and ".join(_count(number, what) for what, number in sizing.given.items())
     below = by_number.get(sizing.number - 1)
     less = ""
     if below is not None:
-        less = f"; {below.number} {'does' if below.number == 1 else 'do'} not, with {_span(below.mean)}"
+        less = f"; {below.number} {'does' if below.number == 1 else 'do'} not, with {_span(below.mean, sizing.target)}"
     return (
         f"{f'With {given}, ' if given else ''}{_count(sizing.number, sizing.what)}"
         f" {'meets' if sizing.number == 1 else 'meet'} '{sizing.target.words}' in {where} with 95 % confidence:"
-        f" {_span(by_number[sizing.number].mean)}{less} ({sizing.runs} runs)."
+        f" {_span(by_number[sizing.number].mean, sizing.target)}{less} ({sizing.runs} runs)."
+        f"{_away_words(sizing, sizing.number)}"
     )
+
+
+def _away_words(sizing: Sizing, number: int) -> str:
+    """A sentence on the customers turned away with this number, with a space before; empty if that is not known."""
+    away = sizing.away.get(number)
+    if away is None:
+        return ""
+    missed = "; each counts as one who waits without end" if away.number and sizing.target.unit == "s" else ""
+    return f" With {_count(number, sizing.what)}, {turned_away_words(away)}{missed}."
 
 
 def _count(number: int, what: str) -> str:
     return f"{number} {SIZED[what].removesuffix('s') if number == 1 else SIZED[what]}"
 
 
-def _judge(number: int, limit_s: float, measure: Measure, looks: Sequence[int]) -> Tried:
+def _judge(number: int, limit: float, measure: Measure, looks: Sequence[int]) -> Tried:
     """Run a number until it is clear on which side of the limit it lies."""
     values: list[float] = []
     for look in looks:
         values.extend(measure(number, range(len(values) + 1, look + 1)))
         asked = LAST_CONFIDENCE if look == looks[-1] else LOOK_CONFIDENCE
-        if interval(values, 2 * asked - 1).high < limit_s:
+        if interval(values, 2 * asked - 1).high < limit:
             return Tried(number, True, tuple(values))
-        if interval(values, 2 * MISS_CONFIDENCE - 1).low > limit_s:
+        if interval(values, 2 * MISS_CONFIDENCE - 1).low > limit:
             break
     return Tried(number, False, tuple(values))
 
@@ -290,7 +345,7 @@ def _around_best(tried: dict[int, Tried], meets: Callable[[int], bool]) -> int |
     """Halve the gaps beside the best number, until one meets the target or there are no gaps."""
     while True:
         sizes = sorted(tried)
-        best = sizes.index(min(sizes, key=lambda number: _mean_or_inf(tried[number])))
+        best = sizes.index(min(sizes, key=lambda number: _badness(tried[number])))
         pairs = [pair for pair in itertools.pairwise(sizes) if sizes[best] in pair and pair[1] - pair[0] > 1]
         if not pairs:
             return None
@@ -299,12 +354,18 @@ def _around_best(tried: dict[int, Tried], meets: Callable[[int], bool]) -> int |
                 return (low + high) // 2
 
 
-def _mean_or_inf(tried: Tried) -> float:
+def _badness(tried: Tried) -> tuple[float, int]:
+    """What sorts numbers, the best first; of those that all turn too many away the greatest is the best."""
     mean = tried.mean.mean
-    return math.inf if math.isnan(mean) else mean
+    return (math.inf if math.isnan(mean) else mean), -tried.number
 
 
-def _span(value: Interval) -> str:
+def _span(value: Interval, target: Target) -> str:
+    if value.runs == 0:
+        return "nothing to measure"
+    if math.isinf(value.mean):
+        return f"waits without end ({value.runs} seeds)"
+    mean = f"{target.shown(value.mean)} {target.unit}"
     if value.runs < 2:
-        return "nothing to measure" if value.runs == 0 else f"{value.mean:.0f} s"
-    return f"{value.mean:.0f} s (95 %: {value.low:.0f} to {value.high:.0f}, {value.runs} seeds)"
+        return mean
+    return f"{mean} (95 %: {target.shown(value.low)} to {target.shown(value.high)}, {value.runs} seeds)"

@@ -106,7 +106,7 @@ def size(
     from parking_sim.sizing import LOOKS, answer, parse_target, size_garage
 
     wanted = parse_target(target)
-    base = _scenario_to_size(scenario, planner, profile, (start, hours, scale), wanted.limit_s)
+    base = _scenario_to_size(scenario, planner, profile, (start, hours, scale), wanted.goes_on_s)
     most = _most(base, scenario, max_agvs, also)
     name = Path(scenario).name.split(".")[0]
     where = _where(name, base)
@@ -180,9 +180,9 @@ def profiles(
 
 
 def _scenario_to_size(
-    source: str, planner: str | None, profile: str | None, stretch: tuple[float | None, float, float], limit_s: float
+    source: str, planner: str | None, profile: str | None, stretch: tuple[float | None, float, float], goes_on_s: float
 ) -> Scenario:
-    """The scenario with the hours of a profile; it goes on for the target's limit after the last request."""
+    """The scenario with the hours of a profile; it goes on for so many seconds after the last request."""
     from demand.profiles import find_profile
     from parking_sim.config import load_scenario, scenario_keys
 
@@ -199,7 +199,7 @@ def _scenario_to_size(
         own = profile != Path(profile).name or Path(profile).is_file()
         name = str(Path(profile).resolve()) if own else profile
         given["workload"] = {"kind": "profile", "name": name, "start_h": begin, "hours": hours, "scale": scale}
-        given["duration_s"] = 3600 * hours + limit_s
+        given["duration_s"] = 3600 * hours + goes_on_s
     return load_scenario(source, given)
 
 
@@ -248,12 +248,13 @@ def _clock(hour: float) -> str:
 def _sizing_rows(sizing: Sizing) -> list[dict[str, str]]:
     from parking_sim.sizing import SIZED
 
-    what = sizing.target.words.partition(" <")[0]
+    target, what = sizing.target, sizing.target.words.partition(" <")[0]
     return [
         {
             SIZED[sizing.what]: str(tried.number),
-            f"{what}, s": f"{tried.mean.mean:.0f}",
-            "95 % interval": f"{tried.mean.low:.0f} .. {tried.mean.high:.0f}",
+            f"{what}, {target.unit}": target.shown(tried.mean.mean),
+            "95 % interval": f"{target.shown(tried.mean.low)} .. {target.shown(tried.mean.high)}",
+            "turned away": f"{sizing.away[tried.number].number} of {sizing.away[tried.number].came}",
             "seeds": str(len(tried.values)),
             "meets it": "yes" if tried.meets else "no",
         }
@@ -271,11 +272,20 @@ def _keep_sizing(answers: Sequence[tuple[Sizing, str]], folder: Path) -> None:
             "what": sizing.what,
             "number": sizing.number,
             "answer": sentence,
-            "tried": [{"number": t.number, "meets": t.meets, "values_s": t.values} for t in sizing.tried],
+            "tried": [
+                {
+                    "number": tried.number,
+                    "meets": tried.meets,
+                    "values": tried.values,
+                    "customers_came": sizing.away[tried.number].came,
+                    "customers_turned_away": sizing.away[tried.number].number,
+                }
+                for tried in sizing.tried
+            ],
         }
         for sizing, sentence in answers
     ]
-    asked = {"words": target.words, "measure": target.key, "limit_s": target.limit_s}
+    asked = {"words": target.words, "measure": target.key, "limit": target.limit}
     write_json(folder / "sizing.json", {"target": asked, "sized": sized})
 
 

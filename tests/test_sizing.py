@@ -9,6 +9,7 @@ import shlex
 import shutil
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 from analysis.measures import interval
+from analysis.turned_away import TurnedAway
 from demand.park_exit import ParkExit
 from parking_sim.assembly import assemble
 from parking_sim.cli import main
@@ -109,22 +111,61 @@ def test_runs_with_nothing_to_measure_meet_nothing() -> None:
     assert "nothing to measure" in answer(found, "map1")
 
 
+def test_a_day_whose_customers_are_turned_away_meets_no_limit() -> None:
+    """One day in nine on which the quantile falls among customers turned away: the mean over days is infinite."""
+
+    def measure(agvs: int, seeds: Sequence[int]) -> list[float]:
+        return [math.inf if agvs < 4 and seed % 9 == 0 else 100.0 + seed / 10 for seed in seeds]
+
+    found = find_least(parse_target("retrieval p95 < 101 s"), 8, measure, (9, 12))
+    assert found.number == 4
+    assert [(tried.number, tried.meets, tried.mean.mean) for tried in found.tried][:3] == [
+        (1, False, math.inf), (2, False, math.inf), (3, False, math.inf),
+    ]  # fmt: skip
+    assert "; 3 do not, with waits without end (9 seeds)" in answer(found, "map1")
+
+
+def test_an_answer_says_how_many_were_turned_away() -> None:
+    away = {1: TurnedAway(42, 48, {"queue too long": 42}), 2: TurnedAway(0, 48)}
+    for most, said in (
+        (1, "No fleet of 1 to 1 AGVs meets 'retrieval p95 < 5 min' in map1: the best tried, 1, has waits without end"
+            " (3 seeds) (3 runs). With 1 AGV, 42 of 48 customers were turned away (88 %): queue too long 42;"
+            " each counts as one who waits without end."),
+        (2, " (6 runs). With 2 AGVs, none of 48 customers was turned away."),
+    ):  # fmt: skip
+        found = find_least(
+            parse_target("retrieval p95 < 5 min"), most,
+            lambda agvs, seeds: [math.inf if agvs == 1 else 100.0 for _ in seeds], (3,),
+        )  # fmt: skip
+        assert answer(replace(found, away=away), "map1").endswith(said)
+
+
+def test_the_share_turned_away_may_be_the_target() -> None:
+    found = find_least(parse_target("turned away < 1 %"), 8, lambda agvs, seeds: [0.08 / agvs - 0.01] * len(seeds))
+    assert found.number == 5
+    assert "5 AGVs meet 'turned away < 1 %' in map1 with 95 % confidence: 0.6 % (95 %: 0.6 to 0.6, 3 seeds)" in answer(
+        found, "map1"
+    )
+
+
 @pytest.mark.parametrize(
-    ("text", "key", "limit_s"),
+    ("text", "key", "limit", "goes_on_s"),
     [
-        ("retrieval p95 < 5 min", "retrieval_wait_p95_s", 300),
-        ("retrieval total mean < 200 s", "retrieval_total_mean_s", 200),
-        ("queue max <  1.5min", "park_queue_max_s", 90),
-        ("parking p50 < 400s", "park_total_p50_s", 400),
+        ("retrieval p95 < 5 min", "retrieval_wait_p95_s", 300, 300),
+        ("retrieval total mean < 200 s", "retrieval_total_mean_s", 200, 200),
+        ("queue max <  1.5min", "park_queue_max_s", 90, 90),
+        ("parking p50 < 400s", "park_total_p50_s", 400, 400),
+        ("turned away < 2.5 %", "turned_away_share", 0.025, 0),
     ],
 )
-def test_targets(text: str, key: str, limit_s: float) -> None:
+def test_targets(text: str, key: str, limit: float, goes_on_s: float) -> None:
     target = parse_target(text)
-    assert (target.key, target.limit_s) == (key, limit_s)
+    assert (target.key, target.limit, target.goes_on_s) == (key, limit, goes_on_s)
 
 
 @pytest.mark.parametrize(
-    "text", ["", "p95 < 5 min", "retrieval p95 > 5 min", "retrieval p97 < 5 min", "queue max < 0 s"]
+    "text",
+    ["", "p95 < 5 min", "retrieval p95 > 5 min", "retrieval p97 < 5 min", "queue max < 0 s", "turned away < 0 %"],
 )
 def test_targets_that_are_none(text: str) -> None:
     with pytest.raises(InputError, match=r"--target: .*give such as 'retrieval p95 < 5 min'"):
@@ -198,7 +239,7 @@ def test_bays_and_chargers_are_sized_after_the_fleet(
     assert (bays, chargers) == (2, 1), "120 customers an hour are too many for one bay; no battery is ever empty"
     assert f"With {fleet} AGVs, 2 bays meet 'queue mean < 100 s'" in said
     # with all bays it is the fleet's own runs, which are not done again
-    values = {sized["what"]: {tried["number"]: tried["values_s"] for tried in sized["tried"]} for sized in written}
+    values = {sized["what"]: {tried["number"]: tried["values"] for tried in sized["tried"]} for sized in written}
     assert values["bays"][2] == values["agvs"][fleet]
     assert all(one > two for one, two in zip(values["bays"][1], values["bays"][2], strict=True))
     runs = list((tmp_path / "runs" / "size-s-own" / "runs").iterdir())
