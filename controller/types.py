@@ -34,10 +34,6 @@ FOREVER = 1 << 29
 #: Steps of a turn that no AGV makes: so dear that no way with one in it is ever the best.
 NEVER = 1 << 20
 
-#: Bends sharper than this that are no reversal, as from one slot into the next one beside it, can't be driven: the body
-#: would fold over both spurs.
-FOLD_DEG = 135.0
-
 
 class AgvMode(StrEnum):
     """The eight states of an AGV (thesis 2025, section III)."""
@@ -165,8 +161,8 @@ def make_motion(
     angles = np.zeros(int(first[-1]))
     for e, (_, head) in numbered(graph.ends):
         for k, f in enumerate(graph.out_edges(head), start=int(first[e])):
-            folds = f != graph.reverse[e] and graph.bend_deg(e, f) > FOLD_DEG
-            angles[k] = np.inf if folds else 180.0 if f == graph.reverse[e] else round(graph.turn_deg(e, f), 3)
+            turned = 180.0 if f == graph.reverse[e] else round(graph.turn_deg(e, f), 3)
+            angles[k] = turned if graph.leads_on(e, f) else np.inf
     kinds, which = np.unique(angles, return_inverse=True)
 
     def table(steps: Callable[[float, bool], int]) -> IntArray:

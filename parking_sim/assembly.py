@@ -26,6 +26,7 @@ from parking_sim.faults import scripted_faults
 from parking_sim.plants import Plant
 from parking_sim.plants.faulty import BreakablePlant, FaultyPlant
 from parking_sim.rulesets import RULE_SETS, TickRules
+from sumo_nets.check import require_fit
 from sumo_nets.doors import one_door_each
 from sumo_nets.in_use import first_places
 from sumo_nets.numbering import Numbered, Vertex
@@ -109,9 +110,11 @@ def assemble(scenario: Scenario) -> World:
 
     Raises:
         InputError: an unknown rule set, more AGVs than homes, a demand that does not fit.
-        NetError: an unknown or unusable net.
+        NetError: an unknown net, or one of which ``parking-sim check-net`` complains.
     """
-    net = first_places(read_net(scenario.garage_source), scenario.bays, scenario.chargers)
+    whole = read_net(scenario.garage_source)
+    require_fit(whole, (scenario.agv.length_m, scenario.agv.width_m))
+    net = first_places(whole, scenario.bays, scenario.chargers)
     homes = net.graph.homes
     if scenario.agvs > len(homes):
         raise InputError(f"agvs: {scenario.agvs}: {net.name} has homes for 1 to {len(homes)}")

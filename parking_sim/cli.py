@@ -119,6 +119,8 @@ def run(
 
     from parking_sim.simulation import simulate
 
+    if not quiet:
+        _warn_of_blocked_ways(loaded.garage_source)
     with _progress_bar(name, quiet) as progress:
         summary = simulate(loaded, folder, gui=gui, fcd=fcd, progress=progress)
     replayed = loaded.record.replay if replay is None else replay
@@ -242,16 +244,32 @@ def trace_lanes(
 
 
 @app.command()
-def check_net(nets: Annotated[list[str], typer.Argument(help="Shipped garages or net files.")]) -> None:
-    """Check nets: every slot reachable from every bay and back, two-way lanes whole, SUMO loads them silently."""
+def check_net(
+    nets: Annotated[list[str] | None, typer.Argument(help="Shipped garages or net files.")] = None,
+    scenario: Annotated[
+        Path | None, typer.Option(help="A scenario (.yaml) whose AGVs drive there; without NETS its garage is checked.")
+    ] = None,
+    length: Annotated[float | None, typer.Option(help="Length of the AGVs, metres; default: the scenario's.")] = None,
+    width: Annotated[float | None, typer.Option(help="Width of the AGVs, metres; default: the scenario's.")] = None,
+) -> None:
+    """Check nets: every place reachable and left, lanes whole, room for the AGVs, SUMO loads them silently."""
+    from parking_sim.config import AgvConfig, load_scenario
     from sumo_nets.check import check_net as check
     from sumo_nets.check import describe_net
     from sumo_nets.read import read_net
 
+    for option, value in (("--length", length), ("--width", width)):
+        if value is not None and not 0 < value < math.inf:
+            raise InputError(f"{option}: {value:g}: give metres above 0")
+    loaded = load_scenario(scenario) if scenario else None
+    if not nets and loaded is None:
+        raise InputError("check-net: give a shipped garage, a net file or a --scenario")
+    agv = loaded.agv if loaded else AgvConfig()
+    size_m = (length or agv.length_m, width or agv.width_m)
     faults = 0
-    for name in nets:
+    for name in nets or [str(loaded.garage_source if loaded else "")]:
         garage = read_net(name)
-        complaints = check(garage)
+        complaints = check(garage, size_m)
         faults += len(complaints)
         for line in complaints:
             print(f"{name}: {line}")
@@ -338,6 +356,16 @@ def exit_code(status: str, has_end: bool = False) -> int:
     return INTERRUPTED if status == "interrupted" else UNFINISHED
 
 
+def _warn_of_blocked_ways(garage: str | Path) -> None:
+    """One line if AGVs at their end points may be in others' way, which not every planner copes with."""
+    from sumo_nets.read import read_net
+    from sumo_nets.well_formed import blocked_ways, describe
+
+    net = read_net(garage)
+    if blocked_ways(net.graph):
+        print(f"warning: {net.name} is {describe(net.graph)}", file=sys.stderr)
+
+
 def _complain(message: str) -> None:
     print("error:", " ".join(message.split()), file=sys.stderr)
 
@@ -346,8 +374,8 @@ def _input_errors() -> tuple[type[Exception], ...]:
     """Every package's exceptions for input; imported only when one was raised."""
     from controller.planners.table import PlannerError
     from sumo_nets.build import NetconvertError
+    from sumo_nets.errors import NetError
     from sumo_nets.layout import LayoutError
-    from sumo_nets.read import NetError
 
     return (InputError, PlannerError, LayoutError, NetError, NetconvertError)
 

@@ -209,7 +209,7 @@ def do_run(scenario: Scenario, out: Path) -> None:
 def _simulate(scenario: Scenario, folder: Path) -> Exception | None:
     """Do a run; what went wrong is returned as text alone, for libsumo's exceptions don't travel between processes."""
     from parking_sim.simulation import simulate
-    from sumo_nets.read import NetError
+    from sumo_nets.errors import NetError
 
     try:
         status = simulate(scenario, folder).status

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -19,8 +20,8 @@ from sumo_nets.numbering import EdgeIndex, Numbered, numbers
 AGV_LENGTH_M = 4.7
 AGV_WIDTH_M = 2.0
 AGV_SIZE_M = (AGV_LENGTH_M, AGV_WIDTH_M)
-#: Least lane length on which an AGV may stand: its body and a margin for where SUMO stops it.
-MIN_LANE_M = AGV_LENGTH_M + 0.3
+#: Room between a body on its lane and the side of one that crosses behind it.
+REAR_MARGIN_M = 0.05
 #: AGVs closer than this count as a mistake of the layout.
 MIN_GAP_M = 0.2
 #: A moving body is looked at each time its front has come this much further.
@@ -48,20 +49,37 @@ class ClosestBodies:
     second: EdgeIndex
 
 
-def standing_bodies(shapes: Collection[FloatArray]) -> FloatArray:
+def least_way_m(size_m: tuple[float, float]) -> float:
+    """Least way from a vertex's centre to the end of a lane: a body stands there, another one crosses behind it.
+
+    Args:
+        size_m: length and width of the bodies.
+    """
+    return size_m[0] + size_m[1] / 2 + REAR_MARGIN_M
+
+
+def chord_m(shape: FloatArray, length_m: float) -> float:
+    """Straight distance in metres from the front to the rear of a body that stands at the end of a lane."""
+    return float(np.hypot(*(shape[-1] - _interpolate(shape, np.array([_length(shape) - length_m]))[0])))
+
+
+def standing_bodies(shapes: Collection[FloatArray], length_m: float = AGV_LENGTH_M) -> FloatArray:
     """Bodies of AGVs standing at the ends of lanes.
 
     Args:
         shapes: each lane's centre line in metres, shape (k, 2), in driving direction.
+        length_m: of the bodies.
 
     Returns:
         Centre x, y and heading unit vector x, y of each body, shape (m, 4).
     """
-    rears = np.array([_interpolate(shape, np.array([_length(shape) - AGV_LENGTH_M]))[0] for shape in shapes])
-    return _bodies(rears, np.array([shape[-1] for shape in shapes]))
+    rears = np.array([_interpolate(shape, np.array([_length(shape) - length_m]))[0] for shape in shapes])
+    return _bodies(rears, np.array([shape[-1] for shape in shapes]), length_m)
 
 
-def closest_standing(tail: IntArray, head: IntArray, shapes: Numbered[EdgeIndex, FloatArray]) -> ClosestBodies | None:
+def closest_standing(
+    tail: IntArray, head: IntArray, shapes: Numbered[EdgeIndex, FloatArray], size_m: tuple[float, float] = AGV_SIZE_M
+) -> ClosestBodies | None:
     """The least room between two AGVs standing at different vertices, by whatever lanes they came.
 
     An AGV owns its vertex and both directions of the lane it stands on, so two lanes into one vertex and the two
@@ -70,17 +88,21 @@ def closest_standing(tail: IntArray, head: IntArray, shapes: Numbered[EdgeIndex,
     Args:
         tail, head: vertex indices of each lane's ends, shape (m,).
         shapes: each lane's centre line in metres.
+        size_m: length and width of the bodies.
 
     Returns:
         The closest pair, or None if no two AGVs can be within a body's length of each other.
     """
-    bodies = standing_bodies(shapes)
-    a, b = _close_pairs(bodies, bodies)
+    bodies = standing_bodies(shapes, size_m[0])
+    a, b = _close_pairs(bodies, bodies, size_m)
     possible = (a < b) & (head[a] != head[b]) & ~_twins(tail, head, a, b)
-    return _least(bodies, bodies, a[possible], b[possible], np.arange(len(bodies), dtype=np.int32))
+    lanes = np.arange(len(bodies), dtype=np.int32)
+    return _least((bodies[a[possible]], bodies[b[possible]]), (lanes[a[possible]], lanes[b[possible]]), size_m)
 
 
-def closest_moving(tail: IntArray, head: IntArray, shapes: Numbered[EdgeIndex, FloatArray]) -> ClosestBodies | None:
+def closest_moving(
+    tail: IntArray, head: IntArray, shapes: Numbered[EdgeIndex, FloatArray], size_m: tuple[float, float] = AGV_SIZE_M
+) -> ClosestBodies | None:
     """The least room between an AGV driving from one lane onto the next and one standing elsewhere.
 
     Every way through every vertex is driven in small steps, but for those that fold back into a spur beside the one
@@ -90,17 +112,18 @@ def closest_moving(tail: IntArray, head: IntArray, shapes: Numbered[EdgeIndex, F
     Args:
         tail, head: vertex indices of each lane's ends, shape (m,).
         shapes: each lane's centre line in metres.
+        size_m: length and width of the bodies.
 
     Returns:
         The closest pair, or None if no two AGVs can be within a body's length of each other.
     """
-    standing = standing_bodies(shapes)
+    standing = standing_bodies(shapes, size_m[0])
     least: ClosestBodies | None = None
-    for moving, before, onto in driving_bodies(tail, head, shapes):
-        a, b = _close_pairs(moving, standing)
+    for moving, before, onto in driving_bodies(tail, head, shapes, size_m[0]):
+        a, b = _close_pairs(moving, standing, size_m)
         free = (head[b] != head[before[a]]) & (head[b] != head[onto[a]])
         free &= ~_twins(tail, head, before[a], b) & ~_twins(tail, head, onto[a], b)
-        found = _least(moving, standing, a[free], b[free], onto)
+        found = _least((moving[a[free]], standing[b[free]]), (onto[a[free]], b[free]), size_m)
         if found is not None and (least is None or found.gap_m < least.gap_m):
             least = found
     return least
@@ -153,13 +176,14 @@ def ways_past(into: Sequence[FloatArray], out_of: Sequence[FloatArray]) -> list[
 
 
 def driving_bodies(
-    tail: IntArray, head: IntArray, shapes: Numbered[EdgeIndex, FloatArray]
+    tail: IntArray, head: IntArray, shapes: Numbered[EdgeIndex, FloatArray], length_m: float = AGV_LENGTH_M
 ) -> Iterator[tuple[FloatArray, IntArray, IntArray]]:
     """Bodies of AGVs on their way from every lane to every next one, but for ways that fold back.
 
     Args:
         tail, head: vertex indices of each lane's ends, shape (m,).
         shapes: each lane's centre line in metres.
+        length_m: of the bodies.
 
     Yields:
         In batches: bodies as in :func:`standing_bodies`, the lane each comes from and the lane it drives onto.
@@ -171,8 +195,8 @@ def driving_bodies(
     lanes: list[tuple[int, int]] = []
     for before in numbers(shapes):
         for onto in leaving.get(int(head[before]), ()):
-            if head[onto] != tail[before] and not _folds_back(shapes[before], shapes[onto]):
-                driven = _drive(shapes[before], shapes[onto])
+            if head[onto] != tail[before]:
+                driven = _drive(shapes[before], shapes[onto], length_m)
                 bodies.append(driven)
                 lanes.extend([(before, onto)] * len(driven))
         if len(lanes) > _BATCH or (lanes and before == len(tail) - 1):
@@ -187,11 +211,23 @@ def _folds_back(before: FloatArray, onto: FloatArray) -> bool:
     return float(way_in @ way_on) < _FOLD_COSINE * float(np.hypot(*way_in) * np.hypot(*way_on))
 
 
-def _drive(before: FloatArray, onto: FloatArray) -> FloatArray:
-    """Bodies between standing at the end of one lane and standing at the end of the next."""
-    way = np.concatenate([before, onto])
-    fronts = np.arange(_length(before), _length(way), _SAMPLE_M)
-    return _bodies(_interpolate(way, fronts - AGV_LENGTH_M), _interpolate(way, fronts))
+def _drive(before: FloatArray, onto: FloatArray, length_m: float) -> FloatArray:
+    """Bodies between standing at the end of one lane and at the end of the next; none where the way folds back."""
+    here = before[-1]
+    bodies = _drive_from_origin(*(np.round(line - here, 6).tobytes() for line in (before, onto)), length_m)
+    driven: FloatArray = bodies + np.array([*here, 0.0, 0.0])
+    return driven
+
+
+@lru_cache(maxsize=1 << 10)
+def _drive_from_origin(before: bytes, onto: bytes, length_m: float) -> FloatArray:
+    """Garages repeat a few ways; seen from where the body stands they are the same."""
+    line_in, line_on = (np.frombuffer(line).reshape(-1, 2) for line in (before, onto))
+    if _folds_back(line_in, line_on):
+        return np.empty((0, 4))
+    way = np.concatenate([line_in, line_on])
+    fronts = np.arange(_length(line_in), _length(way), _SAMPLE_M)
+    return _bodies(_interpolate(way, fronts - length_m), _interpolate(way, fronts), length_m)
 
 
 def _length(shape: FloatArray) -> float:
@@ -204,7 +240,7 @@ def _interpolate(shape: FloatArray, at_m: FloatArray) -> FloatArray:
     return np.stack([np.interp(at_m, along, shape[:, 0]), np.interp(at_m, along, shape[:, 1])], axis=1)
 
 
-def _bodies(rears: FloatArray, fronts: FloatArray, length_m: float = AGV_LENGTH_M) -> FloatArray:
+def _bodies(rears: FloatArray, fronts: FloatArray, length_m: float) -> FloatArray:
     axes = fronts - rears
     axes = axes / np.hypot(axes[:, 0], axes[:, 1])[:, None]
     return np.concatenate([fronts - axes * (length_m / 2), axes], axis=1)
@@ -216,9 +252,9 @@ def _twins(tail: IntArray, head: IntArray, a: IntArray, b: IntArray) -> np.ndarr
     return twins
 
 
-def _close_pairs(a: FloatArray, b: FloatArray) -> tuple[IntArray, IntArray]:
+def _close_pairs(a: FloatArray, b: FloatArray, size_m: tuple[float, float]) -> tuple[IntArray, IntArray]:
     """Index pairs of bodies that may be within reach of each other, found on a grid of squares."""
-    reach = float(np.hypot(AGV_LENGTH_M, AGV_WIDTH_M)) + MIN_GAP_M
+    reach = float(np.hypot(*size_m)) + MIN_GAP_M
     origin = np.minimum(a[:, :2].min(axis=0), b[:, :2].min(axis=0)) - reach
     square_a, square_b = (((x[:, :2] - origin) // reach).astype(np.int64) for x in (a, b))
     rows = int(max(square_a[:, 1].max(), square_b[:, 1].max())) + 2
@@ -240,16 +276,17 @@ def _close_pairs(a: FloatArray, b: FloatArray) -> tuple[IntArray, IntArray]:
 
 
 def _least(
-    bodies_a: FloatArray, bodies_b: FloatArray, a: IntArray, b: IntArray, lane_of_a: IntArray
+    bodies: tuple[FloatArray, FloatArray], lanes: tuple[IntArray, IntArray], size_m: tuple[float, float]
 ) -> ClosestBodies | None:
-    if not len(a):
+    """The closest of pairs of bodies, whose lanes are given."""
+    if not len(lanes[0]):
         return None
-    gaps = _gaps(bodies_a[a], bodies_b[b])
+    gaps = _gaps(*bodies, size_m)
     least = int(np.argmin(gaps))
-    return ClosestBodies(float(gaps[least]), EdgeIndex(int(lane_of_a[a[least]])), EdgeIndex(int(b[least])))
+    return ClosestBodies(float(gaps[least]), EdgeIndex(int(lanes[0][least])), EdgeIndex(int(lanes[1][least])))
 
 
-def _gaps(a: FloatArray, b: FloatArray, size_m: tuple[float, float] = AGV_SIZE_M) -> FloatArray:
+def _gaps(a: FloatArray, b: FloatArray, size_m: tuple[float, float]) -> FloatArray:
     """Room between pairs of bodies, shape (n,): the widest gap along any of their four axes."""
     between = b[:, :2] - a[:, :2]
     room = np.full(len(a), -np.inf)

@@ -4,15 +4,37 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from functools import lru_cache
 
-from sumo_nets.bodies import MIN_GAP_M, MIN_LANE_M, ClosestBodies, closest_moving, closest_standing
+import numpy as np
+
+from sumo_nets.bodies import (
+    AGV_SIZE_M,
+    MIN_GAP_M,
+    ClosestBodies,
+    chord_m,
+    closest_moving,
+    closest_standing,
+    least_way_m,
+)
+from sumo_nets.doors import one_door_each
+from sumo_nets.errors import NetError
 from sumo_nets.graph import Graph
-from sumo_nets.numbering import EdgeIndex, Numbered, Vertex, numbered
-from sumo_nets.read import GarageNet
+from sumo_nets.numbering import EdgeIndex, numbered
+from sumo_nets.read import GarageNet, is_shipped
+from sumo_nets.ways import cut_off, shut_in, unconnected_turns
 from sumo_nets.well_formed import describe
 
+#: A vertex may lie so much farther from its lanes' ends than these from each other.
+OFF_VERTEX_M = 1.0
+#: Differences in length that come of rounding: between the directions of a lane, and between a lane and its drawing.
+SAME_LENGTH_M, DRAWN_LENGTH_M = 0.005, 0.1
+ROUNDING_M = 1e-6
+#: SUMO takes vehicles that are slower for standing.
+LEAST_SPEED_MPS = 0.1
+#: A body lies across a bend; its rear is at least this share of its length away from its front.
+STRAIGHT_SHARE = 0.8
 #: Longest that SUMO may take to load a net.
 _LOAD_TIMEOUT_S = 300
 _LOAD = """
@@ -23,23 +45,47 @@ libsumo.close()
 """
 
 
-def check_net(garage: GarageNet) -> list[str]:
-    """Look for everything that would stop AGVs later.
+@lru_cache(maxsize=32)
+def check_net(garage: GarageNet, size_m: tuple[float, float] = AGV_SIZE_M, loads: bool = True) -> tuple[str, ...]:
+    """Look for everything that would stop AGVs later; once for all runs of a process.
 
     Args:
         garage: the net as read.
+        size_m: length and width of the AGVs.
+        loads: also let SUMO load it, in a process of its own.
 
     Returns:
         One line for each complaint; empty if the net is fine.
     """
-    return [
+    driven = one_door_each(garage)
+    shut = list(shut_in(garage.graph))
+    lanes = list(_check_lanes(driven, size_m))
+    return (
         *_check_counts(garage.graph),
-        *_check_lanes(garage),
-        *_check_ways(garage.graph),
-        *_check_chargers(garage),
-        *_check_room(garage),
-        *_check_loads(garage),
-    ]
+        *shut,
+        *(() if shut else cut_off(driven.graph)),
+        *_check_vertices(driven),
+        *lanes,
+        *_check_chargers(driven),
+        *(() if lanes else _check_room(driven, size_m)),
+        *(_check_loads(garage) if loads else ()),
+    )
+
+
+def require_fit(garage: GarageNet, size_m: tuple[float, float]) -> None:
+    """Refuse a garage of which :func:`check_net` complains. Shipped nets are known to load, so SUMO is not asked.
+
+    Args:
+        garage: the net as read.
+        size_m: length and width of the AGVs.
+
+    Raises:
+        NetError: there are complaints; it has the first one, and how many more.
+    """
+    complaints = check_net(garage, size_m, not is_shipped(garage))
+    if complaints:
+        more = f"; and {len(complaints) - 1} more: parking-sim check-net names them" if len(complaints) > 1 else ""
+        raise NetError(f"{garage.net_file}: {complaints[0]}{more}")
 
 
 def describe_net(garage: GarageNet) -> str:
@@ -51,10 +97,16 @@ def describe_net(garage: GarageNet) -> str:
         if graph.roles[role]
     )
     one_way = int((graph.reverse < 0).sum())
+    passed = len(graph.tail) - len(one_door_each(garage).graph.tail)
+    notes = [describe(graph)]
+    if passed:
+        notes.append(f"slots are not driven through in SUMO, which leaves {passed} lanes unused")
+    if graph.unconnected:
+        notes.append(f"AGVs don't turn {unconnected_turns(graph)}, which the net does not connect")
     return (
         f"{garage.name}: {counts}; {len(graph.names)} vertices,"
         f" {(len(graph.tail) - one_way) // 2} two-way and {one_way} one-way lanes; hand-over at the {garage.handover};"
-        f" {describe(graph)}"
+        f" {'; '.join(notes)}"
     )
 
 
@@ -64,68 +116,56 @@ def _check_counts(graph: Graph) -> Iterator[str]:
             yield f"no {role}s"
 
 
-def _check_lanes(garage: GarageNet) -> Iterator[str]:
+def _check_vertices(garage: GarageNet) -> Iterator[str]:
+    """A vertex lies where its lanes meet: what is planned and freed is counted from there."""
     graph = garage.graph
+    begins, ends = (np.array([shape[i] for shape in garage.shapes]) for i in (0, -1))
+    for v, name in enumerate(graph.names):
+        points = np.concatenate([begins[graph.tail == v], ends[graph.head == v]])
+        apart_m = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)).max(initial=0.0)
+        away_m = np.hypot(*(points - graph.xy[v]).T).max(initial=0.0)
+        if away_m > apart_m + OFF_VERTEX_M:
+            yield f"{name}: a lane ends {away_m:.2f} m away from it"
+
+
+def _check_lanes(garage: GarageNet, size_m: tuple[float, float]) -> Iterator[str]:
+    graph = garage.graph
+    least_m = least_way_m(size_m)
     for e, name in numbered(graph.edge_names):
-        twin = EdgeIndex(int(graph.reverse[e]))
+        twin, lane_m, shape = EdgeIndex(int(graph.reverse[e])), float(graph.length_m[e]), garage.shapes[e]
+        drawn_m = float(np.hypot(*np.diff(shape, axis=0).T).sum())
+        way_m = lane_m + float(np.hypot(*(shape[0] - graph.xy[graph.tail[e]])))
         if twin >= 0 and not garage.bidi[e]:
             yield f"{name}: not marked bidi with {graph.edge_names[twin]}, so no AGV can reverse there"
-        elif twin > e and abs(graph.length_m[e] - graph.length_m[twin]) > 0.005:
-            yield f"{name}: {graph.length_m[e]:.2f} m, but {graph.length_m[twin]:.2f} m in the other direction"
-        if graph.length_m[e] < MIN_LANE_M:
-            yield f"{name}: {graph.length_m[e]:.2f} m long; an AGV needs {MIN_LANE_M:.2f} m to stand on"
-
-
-def _check_ways(graph: Graph) -> Iterator[str]:
-    """Ways between every bay and every slot, home and charger, both ways, through no other place where AGVs stay."""
-    places = {v for role in ("slot", "bay", "home", "charger") for v in graph.roles[role]}
-    forward = graph.successors
-    backward: Numbered[Vertex, list[Vertex]] = [[] for _ in forward]
-    for u, v in graph.ends:
-        backward[v].append(u)
-    # on an open floor slots and homes lie in the way by design, and are passed while nobody stands there
-    open_floor = any(len({*forward[v], *backward[v]}) > 1 for v in graph.slots)
-    closed = set() if open_floor else places
-    for bay in graph.bays:
-        for neighbours, way in (
-            (forward, f"from bay {graph.names[bay]} to"),
-            (backward, f"to bay {graph.names[bay]} from"),
-        ):
-            missing = sorted(places - _reached(bay, neighbours, closed))
-            if missing:
-                more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-                yield f"no way {way} {graph.names[missing[0]]}{more}"
-
-
-def _reached(start: Vertex, neighbours: Numbered[Vertex, Sequence[Vertex]], closed: set[Vertex]) -> set[Vertex]:
-    """Vertices reached without leaving any closed vertex but the start."""
-    seen = {start}
-    queue = deque(seen)
-    while queue:
-        here = queue.popleft()
-        if here in closed and here != start:
-            continue
-        for there in neighbours[here]:
-            if there not in seen:
-                seen.add(there)
-                queue.append(there)
-    return seen
+        elif twin > e and abs(lane_m - graph.length_m[twin]) > SAME_LENGTH_M:
+            yield f"{name}: {lane_m:.2f} m, but {graph.length_m[twin]:.2f} m in the other direction"
+        if abs(drawn_m - lane_m) > DRAWN_LENGTH_M:
+            yield f"{name}: {lane_m:.2f} m long, but drawn with {drawn_m:.2f} m"
+        if way_m < least_m - ROUNDING_M:
+            yield f"{name}: {way_m:.2f} m from its vertex to its end; an AGV needs {least_m:.2f} m to stand on"
+        elif len(shape) > 2 and chord_m(shape, size_m[0]) < STRAIGHT_SHARE * size_m[0]:
+            yield f"{name}: too bent at its end for an AGV of {size_m[0]:g} m to stand there"
+        if graph.limit_mps[e] < LEAST_SPEED_MPS:
+            yield f"{name}: {graph.limit_mps[e]:g} m/s; {LEAST_SPEED_MPS} m/s or more is valid"
 
 
 def _check_chargers(garage: GarageNet) -> Iterator[str]:
-    leading = sorted(e for charger in garage.graph.chargers for e in garage.graph.in_edges(charger))
-    for e in leading:
+    for e in sorted(e for charger in garage.graph.chargers for e in garage.graph.in_edges(charger)):
         if e not in garage.charging_station_of_edge:
-            yield f"{garage.graph.edge_names[e]}: leads to a charger, but has no chargingStation"
+            yield (
+                f"{garage.graph.edge_names[e]}: leads to a charger, but no chargingStation covers its lane's end, where"
+                " AGVs stop"
+            )
 
 
-def _check_room(garage: GarageNet) -> Iterator[str]:
+def _check_room(garage: GarageNet, size_m: tuple[float, float]) -> Iterator[str]:
     graph = garage.graph
     for closest, doing in (
-        (closest_standing(graph.tail, graph.head, garage.shapes), "standing at the end of"),
-        (closest_moving(graph.tail, graph.head, garage.shapes), "driving onto"),
+        (closest_standing(graph.tail, graph.head, garage.shapes, size_m), "standing at the end of"),
+        (closest_moving(graph.tail, graph.head, garage.shapes, size_m), "driving onto"),
     ):
-        if closest is not None and closest.gap_m < MIN_GAP_M:
+        # a gap that is no number is a complaint, too
+        if closest is not None and not closest.gap_m >= MIN_GAP_M:
             yield _room(graph, closest, doing)
 
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import EdgeIndex, Vertex, numbered
 from sumo_nets.read import GarageNet
@@ -24,39 +22,32 @@ def one_door_each(net: GarageNet) -> GarageNet:
 
     Returns:
         The garage itself if its slots are leaves already. Otherwise one in which each slot keeps the lanes to the
-        neighbour with the lowest index that is no slot.
-
-    Raises:
-        ValueError: a slot has no neighbour but slots.
+        neighbour with the lowest index that is no slot, and a slot without such a neighbour has no lanes at all:
+        :func:`sumo_nets.check.check_net` names it.
     """
     graph = net.graph
-    slots = set(graph.slots)
-    door: dict[Vertex, Vertex] = {}
-    for slot in graph.slots:
-        around = [v for v in graph.successors[slot] if v not in slots]
-        if not around:
-            raise ValueError(f"slot {graph.names[slot]} of {net.name} can only be reached through other slots")
-        door[slot] = min(around)
+    door = doors(graph)
     kept = [e for e, (u, v) in numbered(graph.ends) if door.get(u, v) == v and door.get(v, u) == u]
     if len(kept) == len(graph.tail):
         return net
-    position = {e: EdgeIndex(i) for i, e in enumerate(kept)}
-    index = np.array(kept)
-    smaller = Graph(
-        graph.name,
-        graph.names,
-        graph.xy,
-        graph.tail[index],
-        graph.head[index],
-        graph.length_m[index],
-        tuple(graph.edge_names[e] for e in kept),
-        graph.roles,
-    )
-    stations = {position[e]: s for e, s in net.charging_station_of_edge.items() if e in position}
+    stations = net.charging_station_of_edge
     return replace(
         net,
-        graph=smaller,
+        graph=graph.with_edges(kept),
         shapes=tuple(net.shapes[e] for e in kept),
-        bidi=net.bidi[index],
-        charging_station_of_edge=stations,
+        bidi=net.bidi[kept],
+        charging_station_of_edge={EdgeIndex(i): stations[e] for i, e in enumerate(kept) if e in stations},
     )
+
+
+def doors(graph: Graph) -> dict[Vertex, Vertex]:
+    """By slot the neighbour through which it is entered and left: the one with the lowest index that is no slot.
+
+    A slot without a two-way lane to such a neighbour has itself for a door: it is cut off.
+    """
+    slots = set(graph.slots)
+    door = {}
+    for slot in graph.slots:
+        both_ways = (v for v in graph.successors[slot] if v not in slots and (v, slot) in graph.edge_index)
+        door[slot] = min(both_ways, default=slot)
+    return door

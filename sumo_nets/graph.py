@@ -7,8 +7,8 @@ it came by. Edges are sorted by tail vertex, so the edges that leave vertex ``v`
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -25,6 +25,10 @@ FloatArray = NDArray[np.float64]
 Role = Literal["slot", "bay", "home", "charger", "refuge"]
 ROLES: tuple[Role, ...] = ("slot", "bay", "home", "charger", "refuge")
 
+#: Bends sharper than this that are no reversal, as from one slot into the next one beside it, can't be driven: the body
+#: would fold over both spurs.
+FOLD_DEG = 135.0
+
 
 @dataclass(frozen=True, eq=False)
 class Graph:
@@ -37,7 +41,9 @@ class Graph:
         tail, head: vertex indices of each edge's ends, shape (m,), sorted by (tail, head).
         length_m: driving length of each edge in metres, shape (m,).
         edge_names: SUMO edge ids, shape (m,).
+        limit_mps: speed limit of each edge in metres a second, infinite where there is none, shape (m,).
         roles: for each role the vertices that have it, in the layout's order.
+        unconnected: pairs of an edge and one that leaves its head onto which no AGV can drive; the edge back is one.
     """
 
     name: str
@@ -47,7 +53,9 @@ class Graph:
     head: IntArray
     length_m: FloatArray
     edge_names: Numbered[EdgeIndex, str]
+    limit_mps: FloatArray
     roles: Mapping[Role, Places]
+    unconnected: frozenset[tuple[EdgeIndex, EdgeIndex]] = frozenset()
     first_out: IntArray = field(init=False)
     reverse: IntArray = field(init=False)
 
@@ -137,6 +145,29 @@ class Graph:
         change = abs(float(self.heading_deg[edge_out] - self.heading_deg[edge_in])) % 360.0
         return min(change, 360.0 - change)
 
+    def leads_on(self, edge_in: EdgeIndex, edge_out: EdgeIndex) -> bool:
+        """Whether an AGV can drive from an edge onto one that leaves its head, back or on: connected, and no fold."""
+        if (edge_in, edge_out) in self.unconnected:
+            return False
+        return edge_out == self.reverse[edge_in] or self.bend_deg(edge_in, edge_out) <= FOLD_DEG
+
+    def with_edges(self, kept: Sequence[EdgeIndex]) -> Graph:
+        """The same vertices with some of the edges, given in their order."""
+        index = np.array(kept, dtype=np.int32)
+        position = {e: EdgeIndex(i) for i, e in enumerate(kept)}
+        return Graph(
+            self.name,
+            self.names,
+            self.xy,
+            self.tail[index],
+            self.head[index],
+            self.length_m[index],
+            tuple(self.edge_names[e] for e in kept),
+            self.limit_mps[index],
+            self.roles,
+            frozenset((position[e], position[f]) for e, f in self.unconnected if e in position and f in position),
+        )
+
     def to_networkx(self) -> nx.DiGraph[Vertex]:
         """The same graph for model work outside the inner loops; edge attribute ``length_m``."""
         g: nx.DiGraph[Vertex] = nx.DiGraph(name=self.name)
@@ -151,6 +182,8 @@ def make_graph(
     vertices: Sequence[tuple[str, float, float]],
     edges: Iterable[tuple[str, str, str, float]],
     roles: Mapping[Role, Sequence[str]] | None = None,
+    limit_mps: Mapping[str, float] | None = None,
+    connected: Callable[[str, str], bool] | None = None,
 ) -> Graph:
     """Build a graph from plain rows.
 
@@ -159,6 +192,8 @@ def make_graph(
         vertices: (id, x in metres, y in metres), in the order of their indices.
         edges: (edge id, tail vertex id, head vertex id, length in metres), one direction each, any order.
         roles: vertex ids by role; missing roles are empty.
+        limit_mps: speed limits in metres a second by edge id; missing edges have none.
+        connected: whether an AGV can drive from an edge, by id, onto one that leaves its head; always by default.
 
     Returns:
         The graph, edges sorted by (tail, head).
@@ -168,8 +203,8 @@ def make_graph(
     """
     index = {vid: Vertex(i) for i, (vid, _, _) in enumerate(vertices)}
     rows = sorted((index[u], index[v], eid, length) for eid, u, v, length in edges)
-    given = roles or {}
-    return Graph(
+    given, limits = roles or {}, limit_mps or {}
+    graph = Graph(
         name=name,
         names=tuple(vid for vid, _, _ in vertices),
         xy=np.array([(x, y) for _, x, y in vertices], dtype=np.float64).reshape(-1, 2),
@@ -177,5 +212,11 @@ def make_graph(
         head=np.array([r[1] for r in rows], dtype=np.int32),
         length_m=np.array([r[3] for r in rows], dtype=np.float64),
         edge_names=tuple(r[2] for r in rows),
+        limit_mps=np.array([limits.get(r[2], np.inf) for r in rows], dtype=np.float64),
         roles={role: tuple(index[v] for v in given.get(role, ())) for role in ROLES},
     )
+    if connected is None:
+        return graph
+    names = graph.edge_names
+    pairs = ((e, f) for e, (_, v) in numbered(graph.ends) for f in graph.out_edges(v))
+    return replace(graph, unconnected=frozenset((e, f) for e, f in pairs if not connected(names[e], names[f])))

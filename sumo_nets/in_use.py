@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from sumo_nets.errors import NetError
 from sumo_nets.graph import Role
-from sumo_nets.read import GarageNet, NetError
+from sumo_nets.read import GarageNet
 
 
 def first_places(net: GarageNet, bays: int | None = None, chargers: int | None = None) -> GarageNet:

@@ -8,12 +8,8 @@ bay; in a net without any, hand-over is at the AGV's home and every bay is a hom
 
 from __future__ import annotations
 
-import gzip
-import xml.parsers.expat
-import zlib
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -21,57 +17,17 @@ from typing import Literal
 
 import numpy as np
 
+from sumo_nets.errors import NetError
 from sumo_nets.graph import ROLES, FloatArray, Graph, Role, make_graph
+from sumo_nets.net_files import AdditionalFile, Lane, NetFile, read_additional_file, read_net_file
 from sumo_nets.numbering import EdgeIndex, Numbered, Vertex, numbered
+from sumo_nets.street import BaySite, Street, read_street
+from sumo_nets.sumo_rules import POSITION_EPS_M, stopping_place
 
 _NET_SUFFIXES = (".net.xml.gz", ".net.xml")
-#: Where the first waiting car's front stands, before the end of the hold lane.
-HOLD_BEFORE_END_M = 1.0
-
-Attributes = dict[str, str]
 
 
-class NetError(ValueError):
-    """A net that can't be read or lacks what a garage needs; the message is one line."""
-
-
-@dataclass(frozen=True, slots=True)
-class BaySite:
-    """Where customers' cars stand at one bay.
-
-    Attributes:
-        in_area, out_area: ids of the parkingAreas for arriving and for leaving cars, one car each.
-        in_route: street edges from the queue edge by the in_area's edge to the exit edge.
-        out_route: street edges from the out_area's edge to the exit edge.
-    """
-
-    in_area: str
-    out_area: str
-    in_route: tuple[str, ...]
-    out_route: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Street:
-    """The public street that feeds the bays.
-
-    Attributes:
-        entry_edge: public street upstream; customers' cars appear here.
-        queue_edge: the garage's own hold lane.
-        exit_edge: last edge, where leaving cars disappear.
-        hold_pos_m: position on the queue edge where the first waiting car's front stands.
-        entry_m, queue_m: lengths of the entry and the queue edge.
-    """
-
-    entry_edge: str
-    queue_edge: str
-    exit_edge: str
-    hold_pos_m: float
-    entry_m: float
-    queue_m: float
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GarageNet:
     """A garage as read from its SUMO files.
 
@@ -111,6 +67,11 @@ def shipped_nets() -> tuple[str, ...]:
     """Names of the nets that come with the package, sorted."""
     suffix = _NET_SUFFIXES[0]
     return tuple(sorted(p.name.removesuffix(suffix) for p in _nets_folder().glob(f"*{suffix}")))
+
+
+def is_shipped(garage: GarageNet) -> bool:
+    """Whether a garage is one of :func:`shipped_nets`."""
+    return garage.net_file.parent == _nets_folder()
 
 
 def net_files(name_or_path: str | Path) -> tuple[Path, Path]:
@@ -157,29 +118,28 @@ def _version(path: Path) -> tuple[int, int] | None:
 @lru_cache(maxsize=8)
 def _read(net_file: Path, additional_file: Path, _versions: tuple[object, ...]) -> GarageNet:
     """Read both files, once for all runs of a process: to read a net takes longer than many a run."""
-    net = _read_net_file(net_file)
-    extra = _read_additional_file(additional_file)
-    graph = _graph(net, additional_file.name.removesuffix(".add.xml"), net_file)
+    net = read_net_file(net_file)
+    extra = read_additional_file(additional_file)
+    lanes = _agv_lanes(net)
+    graph = _graph(net, lanes, additional_file.name.removesuffix(".add.xml"))
     if not graph.bays:
         raise NetError(f"{net_file}: the net has no bays: mark a junction with the parameter garage.bay")
-    street, bay_sites = _bay_sites(net, extra, graph, net_file)
-    edge_of = {edge: e for e, edge in numbered(graph.edge_names)}
-    rows = [net.edges[edge] for edge in graph.edge_names]
+    street, bay_sites = read_street(net, extra, graph)
+    edge_of = {lanes[name].name: e for e, name in numbered(graph.edge_names)}
+    twins = [graph.edge_names[EdgeIndex(r)] if r >= 0 else "" for r in graph.reverse.tolist()]
     return GarageNet(
         graph=graph,
         net_file=net_file,
         additional_file=additional_file,
         handover="bay" if bay_sites else "home",
         bay_sites=bay_sites,
-        charging_station_of_edge={
-            edge_of[lane.edge]: station
-            for station, lane_id in extra.stations.items()
-            if (lane := net.lanes.get(lane_id)) and lane.edge in edge_of
-        },
+        charging_station_of_edge=_stations(extra, net, edge_of),
         street=street,
-        shapes=tuple(_points(net.lanes[row.lane].shape) for row in rows),
-        street_shapes={name: _points(net.lanes[edge.lane].shape) for name, edge in net.street_edges().items()},
-        bidi=np.array([row.bidi for row in rows], dtype=np.bool_),
+        shapes=tuple(lanes[name].shape for name in graph.edge_names),
+        street_shapes={name: usable[0].shape for name, usable in net.open_to("passenger").items()},
+        bidi=np.array(
+            [bool(t) and net.edges[e].bidi == t for e, t in zip(graph.edge_names, twins, strict=True)], dtype=np.bool_
+        ),
     )
 
 
@@ -196,229 +156,86 @@ def _find(name_or_path: str | Path) -> tuple[Path, str]:
     for suffix in _NET_SUFFIXES:
         if path.name.endswith(suffix) and path.is_file():
             return path, path.name.removesuffix(suffix)
+    if path.name.endswith(_NET_SUFFIXES):
+        raise NetError(f"{given}: no such file")
     raise NetError(
         f"unknown map {given!r}: valid are {', '.join(shipped_nets())}, or the path of a .net.xml or .net.xml.gz file"
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Lane:
-    edge: str
-    length_m: float
-    shape: str
+def _agv_lanes(net: NetFile) -> dict[str, Lane]:
+    """The lane of each edge on which AGVs drive: the one that allows trams."""
+    cars = net.open_to("passenger")
+    lanes = {}
+    for name, usable in net.open_to("tram").items():
+        if name in cars:
+            raise NetError(
+                f"{net.path}: edge {name!r} allows tram and passenger: AGVs and customers' cars keep apart, so that"
+                " one of them is valid"
+            )
+        if len(usable) > 1 or usable[0].index > 0:
+            found = ", ".join(str(lane.index) for lane in usable)
+            raise NetError(f"{net.path}: edge {name!r}: lanes that allow tram: {found}; lane 0 alone is valid")
+        lanes[name] = usable[0]
+    return lanes
 
 
-@dataclass(slots=True)
-class _Edge:
-    tail: str
-    head: str
-    bidi: bool
-    lane: str = ""
-    allow: frozenset[str] = frozenset()
-    street: str = ""
-
-
-@dataclass(slots=True)
-class _Net:
-    """The parts of a net file that matter here."""
-
-    edges: dict[str, _Edge] = field(default_factory=dict)
-    lanes: dict[str, _Lane] = field(default_factory=dict)
-    junctions: dict[str, tuple[float, float]] = field(default_factory=dict)
-    roles: list[tuple[Role, str, str]] = field(default_factory=list)
-
-    def agv_edges(self) -> dict[str, _Edge]:
-        return {name: edge for name, edge in self.edges.items() if "tram" in edge.allow}
-
-    def street_edges(self) -> dict[str, _Edge]:
-        return {name: edge for name, edge in self.edges.items() if "passenger" in edge.allow}
-
-
-@dataclass(slots=True)
-class _Extra:
-    """The parts of an additional file that matter here: ids to lanes, and (bay, use) to area."""
-
-    areas: dict[str, str] = field(default_factory=dict)
-    uses: dict[str, Attributes] = field(default_factory=dict)
-    stations: dict[str, str] = field(default_factory=dict)
-
-
-class _EnoughRead(Exception):  # noqa: N818 - no error, a way out of the parser
-    """All that matters has been read."""
-
-
-def _read_net_file(path: Path) -> _Net:
-    net = _Net()
-    # an edge's lanes and parameters follow it, a junction's parameters follow it
-    inside: list[str] = ["", ""]
-
-    def start(tag: str, attributes: Attributes) -> None:
-        if tag == "connection":
-            raise _EnoughRead  # SUMO wants edges and junctions before the connections, which are half of the file
-        if tag in ("edge", "junction"):
-            inside[:] = [tag, attributes["id"]]
-        if tag == "edge" and attributes.get("function", "normal") == "normal":
-            net.edges[attributes["id"]] = _Edge(attributes["from"], attributes["to"], "bidi" in attributes)
-        elif tag == "lane":
-            _take_lane(net, inside[1], attributes)
-        elif tag == "junction" and attributes.get("type") != "internal":
-            net.junctions[attributes["id"]] = (float(attributes["x"]), float(attributes["y"]))
-        elif tag == "param" and attributes["key"].startswith("garage."):
-            _take_param(net, inside[0], inside[1], attributes)
-
-    _parse(path, start)
-    return net
-
-
-def _take_lane(net: _Net, edge_id: str, attributes: Attributes) -> None:
-    edge = net.edges.get(edge_id)
-    if edge is None or edge.lane:
-        return
-    edge.lane = attributes["id"]
-    edge.allow = frozenset(attributes.get("allow", "").split())
-    net.lanes[attributes["id"]] = _Lane(edge_id, float(attributes["length"]), attributes["shape"])
-
-
-def _take_param(net: _Net, tag: str, owner: str, attributes: Attributes) -> None:
-    key = attributes["key"].removeprefix("garage.")
-    if tag == "edge" and key == "street" and owner in net.edges:
-        net.edges[owner].street = attributes["value"]
-    elif tag == "junction" and key in ROLES:
-        net.roles.append((ROLES[ROLES.index(key)], owner, attributes["value"]))
-
-
-def _read_additional_file(path: Path) -> _Extra:
-    extra = _Extra()
-    last: list[str] = [""]
-
-    def start(tag: str, attributes: Attributes) -> None:
-        if tag == "parkingArea":
-            last[0] = attributes["id"]
-            extra.areas[last[0]] = attributes["lane"]
-        elif tag == "chargingStation":
-            extra.stations[attributes["id"]] = attributes["lane"]
-        elif tag == "param" and attributes["key"].startswith("garage.") and last[0]:
-            extra.uses.setdefault(last[0], {})[attributes["key"]] = attributes["value"]
-
-    _parse(path, start)
-    return extra
-
-
-def _parse(path: Path, start: Callable[[str, Attributes], None]) -> None:
-    parser = xml.parsers.expat.ParserCreate()
-    parser.StartElementHandler = start
-    try:
-        for chunk in _chunks(path):
-            parser.Parse(chunk)
-        parser.Parse(b"", True)
-    except _EnoughRead:
-        return
-    except (OSError, EOFError, zlib.error) as err:
-        reason = getattr(err, "strerror", None) or str(err)
-        raise NetError(f"{path}: can't read: {reason}") from None
-    except xml.parsers.expat.ExpatError as err:
-        raise NetError(f"{path}: not XML: {err}") from None
-    except KeyError as err:
-        raise NetError(f"{path}: line {parser.CurrentLineNumber}: attribute {err} is missing") from None
-    except ValueError as err:
-        raise NetError(f"{path}: line {parser.CurrentLineNumber}: {err}") from None
-
-
-def _chunks(path: Path) -> Iterator[bytes]:
-    with gzip.open(path) if path.name.endswith(".gz") else path.open("rb") as stream:
-        while chunk := stream.read(1 << 18):
-            yield chunk
-
-
-def _points(shape: str) -> FloatArray:
-    return np.array([point.split(",")[:2] for point in shape.split()], dtype=np.float64)
-
-
-def _graph(net: _Net, name: str, source: Path) -> Graph:
-    edges = net.agv_edges()
-    used = {end for edge in edges.values() for end in (edge.tail, edge.head)}
+def _graph(net: NetFile, lanes: Mapping[str, Lane], name: str) -> Graph:
+    used: set[str] = set()
+    by_ends: dict[tuple[str, str], str] = {}
+    for edge in lanes:
+        ends = (net.edges[edge].tail, net.edges[edge].head)
+        used.update(ends)
+        if ends[0] == ends[1]:
+            raise NetError(f"{net.path}: edge {edge!r} leads from junction {ends[0]!r} to itself")
+        if by_ends.setdefault(ends, edge) != edge:
+            raise NetError(
+                f"{net.path}: edges {by_ends[ends]!r} and {edge!r} both lead from {ends[0]!r} to {ends[1]!r};"
+                " one lane each way is valid"
+            )
     missing = used - net.junctions.keys()
     if missing:
-        raise NetError(f"{source}: junction {min(missing)!r} is missing, but an edge ends there")
+        raise NetError(f"{net.path}: junction {min(missing)!r} is missing, but an edge ends there")
+    connected = net.connected("tram")
     return make_graph(
         name,
         [(junction, x, y) for junction, (x, y) in net.junctions.items() if junction in used],
-        [(eid, edge.tail, edge.head, net.lanes[edge.lane].length_m) for eid, edge in edges.items()],
-        _roles(net, used, source),
+        [(edge, *ends, lanes[edge].length_m) for ends, edge in by_ends.items()],
+        _roles(net, used),
+        {edge: lane.speed_mps for edge, lane in lanes.items()},
+        lambda edge, onto: (lanes[edge].name, lanes[onto].name) in connected,
     )
 
 
-def _roles(net: _Net, used: set[str], source: Path) -> dict[Role, list[str]]:
-    ranked: dict[Role, list[tuple[int, str]]] = {role: [] for role in ROLES}
+def _roles(net: NetFile, used: set[str]) -> dict[Role, list[str]]:
+    ranked: dict[Role, dict[int, str]] = {role: {} for role in ROLES}
     for role, junction, value in net.roles:
         if junction not in used:
-            raise NetError(f"{source}: junction {junction!r} is a {role}, but no lane that allows tram leads to it")
-        try:
-            ranked[role].append((int(value), junction))
-        except ValueError:
+            raise NetError(f"{net.path}: junction {junction!r} is a {role}, but no lane that allows tram leads to it")
+        if not value.isascii() or not value.isdigit():
+            raise NetError(f"{net.path}: junction {junction!r}: garage.{role} is {value!r}; a whole number is valid")
+        first = ranked[role].setdefault(int(value), junction)
+        if first != junction:
             raise NetError(
-                f"{source}: junction {junction!r}: garage.{role} is {value!r}; a whole number is valid"
-            ) from None
-    return {role: [junction for _, junction in sorted(rows)] for role, rows in ranked.items()}
-
-
-def _bay_sites(net: _Net, extra: _Extra, graph: Graph, source: Path) -> tuple[Street | None, dict[Vertex, BaySite]]:
-    areas = {(use.get("garage.bay", ""), use.get("garage.use", "")): area for area, use in extra.uses.items()}
-    if not areas:
-        stray = sorted(set(graph.bays) - set(graph.homes))
-        if stray:
-            raise NetError(
-                f"{source}: bay {graph.names[stray[0]]!r} has no parkingArea with garage.bay, and is no home either"
+                f"{net.path}: junctions {first!r} and {junction!r} are both {role} number {int(value)}:"
+                " a net holds one garage, and each of its places has a number of its own"
             )
-        return None, {}
-    street = _street(net, source)
-    sites = {}
-    for vertex in graph.bays:
-        for use in ("in", "out"):
-            if (graph.names[vertex], use) not in areas:
-                raise NetError(f"{source}: bay {graph.names[vertex]!r} has no parkingArea with garage.use {use!r}")
-        in_area, out_area = (areas[graph.names[vertex], use] for use in ("in", "out"))
-        in_edge, out_edge = (_area_edge(net, extra, area, source) for area in (in_area, out_area))
-        onward = _street_route(net, in_edge, street.exit_edge, source)
-        sites[vertex] = BaySite(
-            in_area,
-            out_area,
-            _street_route(net, street.queue_edge, in_edge, source) + onward[1:],
-            _street_route(net, out_edge, street.exit_edge, source),
-        )
-    return street, sites
+    return {role: [junction for _, junction in sorted(rows.items())] for role, rows in ranked.items()}
 
 
-def _street(net: _Net, source: Path) -> Street:
-    parts = {edge.street: name for name, edge in net.street_edges().items() if edge.street}
-    for part in ("entry", "queue", "exit"):
-        if part not in parts:
-            raise NetError(f"{source}: no edge that allows passenger has the parameter garage.street={part}")
-    entry, queue = (net.lanes[net.edges[parts[part]].lane].length_m for part in ("entry", "queue"))
-    return Street(parts["entry"], parts["queue"], parts["exit"], max(queue - HOLD_BEFORE_END_M, 0.0), entry, queue)
-
-
-def _area_edge(net: _Net, extra: _Extra, area: str, source: Path) -> str:
-    lane = net.lanes.get(extra.areas[area])
-    if lane is None:
-        raise NetError(f"{source}: parkingArea {area!r} lies on lane {extra.areas[area]!r}, which the net doesn't have")
-    return lane.edge
-
-
-def _street_route(net: _Net, start: str, goal: str, source: Path) -> tuple[str, ...]:
-    """Shortest chain of street edges, both ends included."""
-    edges = net.street_edges()
-    came_from: dict[str, str] = {start: ""}
-    queue = deque([start])
-    while queue and goal not in came_from:
-        here = queue.popleft()
-        for onward, edge in edges.items():
-            if here in edges and edge.tail == edges[here].head and onward not in came_from:
-                came_from[onward] = here
-                queue.append(onward)
-    if goal not in came_from:
-        raise NetError(f"{source}: the street leads nowhere from {start!r} to {goal!r}")
-    route = [goal]
-    while came_from[route[-1]]:
-        route.append(came_from[route[-1]])
-    return tuple(reversed(route))
+def _stations(extra: AdditionalFile, net: NetFile, edge_of: Mapping[str, EdgeIndex]) -> dict[EdgeIndex, str]:
+    """By edge the chargingStation that covers the end of its lane, where an AGV stops; of several SUMO's first one."""
+    lane_m = {lane.name: lane.length_m for edge in net.edges.values() for lane in edge.lanes}
+    stations: dict[EdgeIndex, str] = {}
+    for name, place in sorted(extra.stations.items()):
+        if place.lane not in lane_m:
+            raise NetError(
+                f"{extra.path}: chargingStation {name!r} lies on lane {place.lane!r}, which the net doesn't have"
+            )
+        try:
+            _, end_m = stopping_place(place.start, place.end, place.friendly, lane_m[place.lane])
+        except ValueError as error:
+            raise NetError(f"{extra.path}: chargingStation {name!r}: {error}") from None
+        if place.lane in edge_of and end_m >= lane_m[place.lane] - POSITION_EPS_M:
+            stations.setdefault(edge_of[place.lane], name)
+    return stations

@@ -22,9 +22,9 @@ from parking_sim.assembly import assemble
 from parking_sim.cli import main
 from parking_sim.config import check_scenario, load_scenario, read_yaml
 from parking_sim.errors import InputError
+from sumo_nets.errors import NetError
 from sumo_nets.layout import LayoutError, parse_layout
 from sumo_nets.plan import plan_garage
-from sumo_nets.read import NetError
 
 MUTANTS = int(os.environ.get("FUZZ", "150"))
 #: Mutants of each scenario that are run from the command line, and seconds after which one hangs.

@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from controller.routing.binary_tree import compile_tree, find_route, find_routes
 from controller.routing.kinematics import ForkAgv, check_turns, drive, icr_distance_m, rates
 from controller.routing.shortest import shortest_route
-from controller.types import FOLD_DEG
 from sumo_nets.floors import ForkFloor, one_way_lattice
-from sumo_nets.graph import make_graph
+from sumo_nets.graph import FOLD_DEG, make_graph
 
 DEG = math.pi / 180
 

@@ -26,8 +26,9 @@ from parking_sim.errors import InputError
 from parking_sim.executors import open_executor
 from parking_sim.sizing import LAST_CONFIDENCE, Measure, Target, answer, find_least, parse_target, size_garage
 from parking_sim.tuning import parse_ranges, tune_scenario
+from sumo_nets.errors import NetError
 from sumo_nets.in_use import first_places
-from sumo_nets.read import NetError, net_files, read_net
+from sumo_nets.read import net_files, read_net
 
 GARAGES: dict[str, tuple[Callable[[int], float], int]] = {
     "more is better": (lambda n: 900 / n + 120, 12),

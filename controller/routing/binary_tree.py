@@ -22,7 +22,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from controller.types import FOLD_DEG
 from sumo_nets.graph import Graph, IntArray
 from sumo_nets.numbering import NO_EDGE, EdgeIndex, Vertex
 
@@ -83,7 +82,7 @@ class _Compiler:
         """The node for arriving over an edge; it leads on without reversing unless ``reversal``."""
         g = self.graph
         v = g.ends[edge][1]
-        ways = [f for f in g.out_edges(v) if (reversal if f == g.reverse[edge] else g.bend_deg(edge, f) <= FOLD_DEG)]
+        ways = [f for f in g.out_edges(v) if (reversal or f != g.reverse[edge]) and g.leads_on(edge, f)]
         return self.number(v, self._left_to_right(ways, float(g.heading_deg[edge])))
 
     def standing(self, vertex: Vertex) -> int:

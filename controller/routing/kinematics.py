@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.types import FOLD_DEG
 from sumo_nets.graph import FloatArray, Graph
 from sumo_nets.numbering import Vertex, numbered
 
@@ -151,7 +150,7 @@ def check_turns(graph: Graph, agv: ForkAgv, aisle_m: float) -> Iterator[Turn]:
     for e, (u, v) in numbered(graph.ends):
         for f in graph.out_edges(v):
             bend = graph.bend_deg(e, f)
-            if f == graph.reverse[e] or not STRAIGHT_DEG < bend <= FOLD_DEG:
+            if f == graph.reverse[e] or bend <= STRAIGHT_DEG or not graph.leads_on(e, f):
                 continue
             widest = float(min(room[e], room[f])) / math.tan(math.radians(bend) / 2)
             vertices = (u, v, graph.ends[f][1])

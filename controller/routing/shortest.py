@@ -6,7 +6,6 @@ import heapq
 from collections.abc import Iterator
 
 from controller.routing.binary_tree import Route
-from controller.types import FOLD_DEG
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import NO_EDGE, EdgeIndex, Vertex
 
@@ -31,7 +30,7 @@ def shortest_route(graph: Graph, start: Vertex, goal: Vertex) -> Route | None:
         if graph.head[edge] == goal:
             return Route((start, *_trace(graph, edge, came_by)), metres)
         for f in graph.out_edges(graph.ends[edge][1]):
-            if f not in came_by and f != graph.reverse[edge] and graph.bend_deg(edge, f) <= FOLD_DEG:
+            if f not in came_by and f != graph.reverse[edge] and graph.leads_on(edge, f):
                 heapq.heappush(OPEN, (metres + float(graph.length_m[f]), f, edge))
     return None
 

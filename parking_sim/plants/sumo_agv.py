@@ -75,10 +75,10 @@ class AgvType:
 def sumo_motion(graph: Graph, agv_type: AgvType, step_s: float) -> Motion:
     """How long moves take in SUMO, in steps.
 
-    A run at full speed takes length / speed; a turn adds its rotation and the stop before it. A reversal adds a stop
-    but spares the body's length: the AGV's back becomes its front, and that is where the way on is counted from. It
-    is at least 1 step, which says that the AGV has to stand first. Executed moves take 0 to 5 % less than planned:
-    rounding up to whole steps, and 2 to 3 s less than planned for a reversal.
+    A run at full speed takes length / speed; no AGV drives faster than a lane's limit. A turn adds its rotation and the
+    stop before it. A reversal adds a stop but spares the body's length: the AGV's back becomes its front, and that is
+    where the way on is counted from. It is at least 1 step, which says that the AGV has to stand first. Executed moves
+    take 0 to 5 % less than planned: rounding up to whole steps, and 2 to 3 s less than planned for a reversal.
 
     Args:
         graph: the garage; a move goes from centre to centre of its vertices, lengths being those of lanes.
@@ -92,8 +92,8 @@ def sumo_motion(graph: Graph, agv_type: AgvType, step_s: float) -> Motion:
     def steps(seconds: float) -> int:
         return math.ceil(seconds / step_s - 1e-9)
 
-    def edge(length_m: float, loaded: bool) -> int:
-        return max(1, steps(length_m / agv_type.speed_mps(loaded)))
+    def drive(length_m: float, limit_mps: float, loaded: bool) -> int:
+        return max(1, steps(length_m / min(agv_type.speed_mps(loaded), limit_mps)))
 
     def rotation(angle_deg: float, loaded: bool) -> int:
         return steps(agv_type.rotation_s(angle_deg, loaded))
@@ -107,5 +107,10 @@ def sumo_motion(graph: Graph, agv_type: AgvType, step_s: float) -> Motion:
         return stop + rotation(angle_deg, loaded)
 
     between_m = np.hypot(*(graph.xy[graph.head] - graph.xy[graph.tail]).T)
-    centre_to_centre = replace(graph, length_m=np.maximum(graph.length_m, between_m))
-    return make_motion(centre_to_centre, step_s, edge, turn, following=False, rotation_steps=rotation)
+    ways_m = np.maximum(graph.length_m, between_m).tolist()
+    driving = [
+        [drive(way_m, limit, loaded) for way_m, limit in zip(ways_m, graph.limit_mps.tolist(), strict=True)]
+        for loaded in (False, True)
+    ]
+    turns = make_motion(graph, step_s, lambda *_: 1, turn, following=False, rotation_steps=rotation)
+    return replace(turns, edge_steps=np.array(driving, dtype=np.int32))

@@ -21,7 +21,8 @@ from parking_sim.plants.sumo_files import CUSTOMER_IN, CUSTOMER_OUT, customer_na
 if TYPE_CHECKING:
     from controller.types import RequestNumber
     from sumo_nets.numbering import Vertex
-    from sumo_nets.read import BaySite, GarageNet, Street
+    from sumo_nets.read import GarageNet
+    from sumo_nets.street import BaySite, Street
 
 _FOREVER_S = 1e9
 #: Cars that SUMO holds on the entry edge; further ones wait in the backlog and count as spilled just the same. Each
