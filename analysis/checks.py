@@ -65,10 +65,12 @@ def _figures(meta: Mapping[str, Any], metrics: Metrics) -> dict[str, str]:
     """What is shown beside each check, by its metric."""
     clearance = metrics["least_clearance_m"]
     near = f", the nearest two bodies kept {clearance:.2f} m" if math.isfinite(clearance) else ""
+    under = metrics["turns_under_cars"]
+    turns = f", {_shown(under)} turns under cars in slots too short to drive straight out of" if under > 0 else ""
     cars = ", ".join(f"{name.replace('_', ' ')} {_shown(metrics[f'cars_{name}'])}" for name in _CARS)
     return {
         "sumo_collisions": f"{_shown(metrics['sumo_collisions'])} collisions",
-        "footprint_overlaps": f"{_shown(metrics['footprint_overlaps'])} overlaps{near}",
+        "footprint_overlaps": f"{_shown(metrics['footprint_overlaps'])} overlaps{near}{turns}",
         "deadlocks_unresolved": f"{metrics['deadlocks_found']} found, {metrics['deadlocks_unresolved']} unresolved",
         "requests_conserved": f"{metrics['requests']} requests",
         "cars_conserved": "; ".join(map(str, meta.get("audit") or ())) or cars,

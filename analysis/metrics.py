@@ -96,6 +96,7 @@ METRICS: Mapping[str, tuple[str, str]] = {
     "deadlock_max_s": ("s", "the same, longest"),
     "sumo_collisions": ("", "collisions SUMO reported"),
     "footprint_overlaps": ("", "overlaps the independent footprint check saw"),
+    "turns_under_cars": ("", "turns of an empty AGV under a parked car, in slots too short to drive straight out of"),
     "least_clearance_m": ("m", "least distance between two bodies"),
     "steps": ("steps", "planning steps simulated"),
     "throughput": ("tasks/step", "tasks done per planning step (thesis)"),
@@ -324,7 +325,8 @@ def _deadlocks(run: Run) -> Metrics:
 
 
 def _safety(run: Run) -> Metrics:
-    return {key: _number(run, key) for key in ("sumo_collisions", "footprint_overlaps", "least_clearance_m")}
+    keys = ("sumo_collisions", "footprint_overlaps", "turns_under_cars", "least_clearance_m")
+    return {key: _number(run, key) for key in keys}
 
 
 def _thesis(run: Run) -> Metrics:

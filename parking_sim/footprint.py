@@ -1,10 +1,12 @@
 """An independent look at all bodies as rectangles: who overlaps, and how close they come.
 
 SUMO does not see AGVs that cross at a small node, and the controller is what is to be checked. So this knows neither of
-them: step by step it is given rectangles, and is told which cars were set down and lifted.
+them: step by step it is given rectangles, and is told which cars were set down and lifted. What it says of a step
+depends on that step's rectangles alone, whatever the length of a step or the speed of an AGV.
 
-An empty AGV is flat and may drive in under a parked car, along its axis, with the front or rear in the middle, and out
-again as it likes; a loaded one may not. Straight across an aisle it may be under two cars at once.
+An empty AGV is flat and may be under a parked car while it is aligned with it: it drives in and out lengthwise, the end
+that is under the car on the car's axis. Every other contact is an overlap. Only where the lane into a slot is too short
+to drive straight out from under a car, as on grids of small cells, an empty AGV that turns under it is counted apart.
 """
 
 from __future__ import annotations
@@ -20,17 +22,18 @@ from numpy.typing import NDArray
 from controller.types import AgvNumber
 from sumo_nets.graph import FloatArray
 
-#: An empty AGV gets under a parked car when the middle of its front or rear is within this many metres of the car's
-#: axis, and as far along it as an end of the car, give or take so many metres inwards and outwards. It counts as under
-#: the car until it is this many metres (the latter) away from it.
-UNDER_ASIDE_M = 0.5
-UNDER_INSIDE_M = 1.0
-UNDER_AHEAD_M = 1.5
+#: An empty AGV is aligned with a parked car when their axes differ by this angle or less, and the AGV's end that is
+#: nearer to the middle of the car is this many metres or less from the car's axis. The angle is what the bend of the
+#: shipped garages' spurs needs: there the front swings out by 23 to 32 degrees, depending on the AGV's length, while
+#: the rear is still under the car.
+ALIGNED_DEG = 35.0
+ALIGNED_ASIDE_M = 0.3
 #: Bodies further apart than this are not measured.
 REACH_M = 10.0
 #: No parked car is larger than this.
 MAX_HALF_DIAGONAL_M = 5.0
 _MAX_PAIRS = 4096
+_MOST_SINE = math.sin(math.radians(ALIGNED_DEG))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +79,15 @@ class Clearance:
     Attributes:
         overlaps: how often two bodies came to overlap.
         overlap_steps: steps in which they did, summed over pairs.
+        turns_under_cars: how often an empty AGV turned under a car in a cramped slot.
         agvs: the closest two AGVs ever came, None if they never came within ``REACH_M``.
-        parked: the closest an AGV ever came to a parked car, None likewise.
+        parked: the closest an AGV ever came to a parked car, None likewise. An empty AGV that is aligned with the car,
+            or turns under it where the slot is too short, does not count.
     """
 
     overlaps: int
     overlap_steps: int
+    turns_under_cars: int
     agvs: Nearness | None
     parked: Nearness | None
 
@@ -93,11 +99,10 @@ class Clearance:
 
 @dataclass(slots=True)
 class _Parked:
-    """Parked cars sorted by x: rows of centre x, y, cosine, sine, half length, half width, half diagonal, number."""
+    """Parked cars sorted by x: rows of centre x, y, cosine, sine, half length, half width, half diagonal, cramped."""
 
     names: list[str] = field(default_factory=list)
     rows: FloatArray = field(default_factory=lambda: np.zeros((0, 8)))
-    count: int = 0
 
 
 class FootprintCheck:
@@ -105,38 +110,44 @@ class FootprintCheck:
 
     def __init__(self) -> None:
         self.events: list[Nearness] = []  #: every overlap, when it began
+        self.turns: list[Nearness] = []  #: every turn of an empty AGV under a car in a cramped slot, when it began
         self._parked = _Parked()
         self._rows = np.zeros((0, 7))
-        self._under = np.zeros((0, 2), dtype=np.int64)  # numbers of the parked cars each AGV is under, -1 for none
-        self._pairs = np.zeros((_MAX_PAIRS, 2), dtype=np.int64)
+        self._pairs = np.zeros((_MAX_PAIRS, 3), dtype=np.int64)
         self._least = np.full(2, np.inf)
         self._closest: list[Nearness | None] = [None, None]
-        self._overlapping: set[tuple[AgvNumber, AgvNumber | str]] = set()
+        self._touching: set[tuple[AgvNumber, AgvNumber | str, bool]] = set()  # AGV, other, whether it turns under it
         self._overlap_steps = 0
 
-    def lowered(self, car: str, agv: AgvNumber) -> None:
+    def lowered(self, car: str, agv: AgvNumber, cramped: bool = False) -> None:
         """A car stands where this AGV was in the last step; it takes up the AGV's rectangle.
+
+        Args:
+            car: its name.
+            agv: number of the AGV.
+            cramped: the slot's lane is too short for an AGV to drive straight out from under the car.
 
         Raises:
             KeyError: the car is parked already.
             IndexError: no step was seen yet, or there is no such AGV.
         """
-        self._under[agv] = (self._park(car, self._rows[agv]), -1)
+        self._park(car, self._rows[agv], cramped)
 
-    def standing(self, cars: Sequence[str], bodies: Bodies) -> None:
+    def standing(self, cars: Sequence[str], bodies: Bodies, cramped: Sequence[bool]) -> None:
         """Cars that are parked already when the run starts.
 
         Args:
             cars: their names.
             bodies: their rectangles, in the same order.
+            cramped: likewise, as for :meth:`lowered`.
 
         Raises:
             KeyError: one of them is parked already.
         """
         rows = np.zeros((len(cars), 7))
         _fill(bodies.x, bodies.y, bodies.angle, bodies.length, bodies.width, rows)
-        for car, row in zip(cars, rows, strict=True):
-            self._park(car, row)
+        for car, row, tight in zip(cars, rows, cramped, strict=True):
+            self._park(car, row, tight)
 
     def lifted(self, car: str) -> None:
         """A parked car is gone; unknown cars (from a bay) are none of its business."""
@@ -153,42 +164,38 @@ class FootprintCheck:
             bodies: the AGVs, the same ones in the same order in each step.
         """
         if len(self._rows) != len(bodies.x):
-            self._under = np.full((len(bodies.x), 2), -1)
             self._rows = np.full((len(bodies.x), 7), np.inf)
         found, agv, other, near, near_car = _look(
-            bodies.x, bodies.y, bodies.angle, bodies.length, bodies.width, bodies.loaded, bool(self._overlapping),
-            self._rows, self._parked.rows, self._under, self._least, self._pairs,
+            bodies.x, bodies.y, bodies.angle, bodies.length, bodies.width, bodies.loaded, bool(self._touching),
+            self._rows, self._parked.rows, self._least, self._pairs,
         )  # fmt: skip
         if agv >= 0:
             self._closest[0] = Nearness(time_s, AgvNumber(agv), AgvNumber(other), float(self._least[0]))
         if near >= 0:
             self._closest[1] = Nearness(time_s, AgvNumber(near), self._parked.names[near_car], float(self._least[1]))
-        if found or self._overlapping:
+        if found or self._touching:
             self._note(time_s, self._pairs[:found].tolist())
 
     def result(self) -> Clearance:
         """What was found so far."""
-        return Clearance(len(self.events), self._overlap_steps, self._closest[0], self._closest[1])
+        return Clearance(len(self.events), self._overlap_steps, len(self.turns), *self._closest)
 
-    def _park(self, car: str, row: FloatArray) -> int:
+    def _park(self, car: str, row: FloatArray, cramped: bool) -> None:
         if car in self._parked.names:
             raise KeyError(f"car {car} is parked already")
-        number = self._parked.count
-        self._parked.count += 1
         at = int(np.searchsorted(self._parked.rows[:, 0], row[0]))
-        self._parked.rows = np.insert(self._parked.rows, at, np.append(row, number), axis=0)
+        self._parked.rows = np.insert(self._parked.rows, at, np.append(row, cramped), axis=0)
         self._parked.names.insert(at, car)
-        return number
 
     def _note(self, time_s: float, pairs: Sequence[Sequence[int]]) -> None:
         names = self._parked.names
-        now: set[tuple[AgvNumber, AgvNumber | str]] = {
-            (AgvNumber(i), AgvNumber(j) if j >= 0 else names[-1 - j]) for i, j in pairs
+        now: set[tuple[AgvNumber, AgvNumber | str, bool]] = {
+            (AgvNumber(i), AgvNumber(j) if j >= 0 else names[-1 - j], bool(turns)) for i, j, turns in pairs
         }
-        fresh = sorted(now - self._overlapping, key=lambda pair: (pair[0], str(pair[1])))
-        self.events += [Nearness(time_s, agv, other, 0.0) for agv, other in fresh]
-        self._overlap_steps += len(now)
-        self._overlapping = now
+        for agv, other, turns in sorted(now - self._touching, key=lambda pair: (pair[0], str(pair[1]))):
+            (self.turns if turns else self.events).append(Nearness(time_s, agv, other, 0.0))
+        self._overlap_steps += sum(not turns for _, _, turns in now)
+        self._touching = now
 
 
 def rectangle_distance(a: FloatArray, b: FloatArray) -> float:
@@ -201,8 +208,11 @@ def rectangle_distance(a: FloatArray, b: FloatArray) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, under, least, pairs):  # type: ignore[no-untyped-def]
-    """Update the rows; list overlapping pairs (a parked car p as -1 - p); lower ``least`` for AGVs and parked cars."""
+def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, least, pairs):  # type: ignore[no-untyped-def]
+    """Update the rows; list touching pairs and whether they are turns under cars; lower ``least`` for AGVs and cars.
+
+    A parked car p is listed as -1 - p.
+    """
     n = len(x)
     moved = _fill(x, y, angle, length, width, rows)
     found, agv, other, near, near_car = 0, -1, -1, -1, -1
@@ -220,7 +230,7 @@ def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, under, 
             if d < least[0]:
                 least[0], agv, other = d, i, j
             if d == 0.0 and found < len(pairs):
-                pairs[found, 0], pairs[found, 1] = min(i, j), max(i, j)
+                pairs[found, 0], pairs[found, 1], pairs[found, 2] = min(i, j), max(i, j), 0
                 found += 1
         widest = size + MAX_HALF_DIAGONAL_M + min(least[1], REACH_M)
         for p in range(np.searchsorted(parked[:, 0], x0 - widest), len(parked)):
@@ -230,20 +240,14 @@ def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, under, 
                 break
             if dx * dx + dy * dy > limit * limit:
                 continue
-            car = parked[p, 7]
-            if not loaded[i] and _gets_under(rows, i, parked, p):
-                if car not in (under[i, 0], under[i, 1]):
-                    under[i, 0], under[i, 1] = car, under[i, 0]
+            if _may_be_under(rows, i, parked, p, loaded[i]):
                 continue
-            d = _distance(rows, i, parked, p, max(least[1], UNDER_AHEAD_M))
-            if car in (under[i, 0], under[i, 1]):
-                if not loaded[i] and d < UNDER_AHEAD_M:
-                    continue
-                under[i, 0 if under[i, 0] == car else 1] = -1
-            if d < least[1]:
+            d = _distance(rows, i, parked, p, least[1])
+            turns = d == 0.0 and not loaded[i] and parked[p, 7] > 0.0
+            if d < least[1] and not turns:
                 least[1], near, near_car = d, i, p
             if d == 0.0 and found < len(pairs):
-                pairs[found, 0], pairs[found, 1] = i, -1 - p
+                pairs[found, 0], pairs[found, 1], pairs[found, 2] = i, -1 - p, turns
                 found += 1
     return found, agv, other, near, near_car
 
@@ -262,14 +266,16 @@ def _fill(x, y, angle, length, width, rows):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _gets_under(a, i, b, j):  # type: ignore[no-untyped-def]
-    """Whether the middle of the front or rear of a[i] is on the axis of b[j], near its front or rear."""
-    for end in (a[i, 4], -a[i, 4]):
-        dx, dy = a[i, 0] + end * a[i, 2] - b[j, 0], a[i, 1] + end * a[i, 3] - b[j, 1]
-        along, aside = dx * b[j, 2] + dy * b[j, 3], dy * b[j, 2] - dx * b[j, 3]
-        if abs(aside) <= UNDER_ASIDE_M and -UNDER_INSIDE_M <= abs(along) - b[j, 4] <= UNDER_AHEAD_M:
-            return True
-    return False
+def _may_be_under(a, i, b, j, loaded):  # type: ignore[no-untyped-def]
+    """Whether the AGV a[i] is aligned with the parked car b[j]; if loaded, also that it is in its place."""
+    dx, dy = a[i, 0] - b[j, 0], a[i, 1] - b[j, 1]
+    if loaded and dx * dx + dy * dy > ALIGNED_ASIDE_M * ALIGNED_ASIDE_M:
+        return False  # otherwise it has just lifted this very car
+    sine = a[i, 3] * b[j, 2] - a[i, 2] * b[j, 3]
+    cosine = a[i, 2] * b[j, 2] + a[i, 3] * b[j, 3]
+    along, aside = dx * b[j, 2] + dy * b[j, 3], dy * b[j, 2] - dx * b[j, 3]
+    inwards = -a[i, 4] if along * cosine > 0.0 else a[i, 4]  # the end that is nearer to the middle of the car
+    return abs(sine) <= _MOST_SINE and abs(aside + inwards * sine) <= ALIGNED_ASIDE_M
 
 
 @njit(cache=True, error_model="numpy")

@@ -179,6 +179,7 @@ KINDS: Mapping[str, str] = {
     "charge_end": "an AGV ends charging: soc",
     "grant": "an AGV may drive on (recorded on request): vertices",
     "overlap": "the footprints of two bodies overlap: others (AGV numbers or cars), clearance_m",
+    "turn_under_car": "an empty AGV turns under a parked car in a slot too short to drive straight out of",
     "collision": "SUMO reports a collision: others",
     "task_returned": "a broken AGV, or one whose goal is closed, gives its task back: request",
     "fault_start": "something goes wrong, see parking_sim.fault_config: fault (number), cause, agvs (AGV numbers), "
@@ -200,6 +201,7 @@ META: Mapping[str, tuple[str, str]] = {
     "tasks_wanted": ("tasks", "tasks the scenario asks for"),
     "sumo_collisions": ("", "collisions SUMO reported"),
     "footprint_overlaps": ("", "pairs of bodies seen to overlap by the independent check"),
+    "turns_under_cars": ("", "turns of an empty AGV under a parked car, in slots too short to drive straight out of"),
     "least_clearance_m": ("m", "least distance between two bodies in the run"),
     "cars_initial": ("cars", "cars parked before the first step"),
     "cars_arrived": ("cars", "cars that came and were let in"),

@@ -27,6 +27,7 @@ from sumo_nets.numbering import NO_VERTEX, Numbered, NumberedList, Vertex, numbe
 
 if TYPE_CHECKING:
     from parking_sim.footprint import FootprintCheck
+    from sumo_nets.graph import Graph
 
 #: Simulated seconds without any task done or vertex granted, with work to do, after which a run is given up.
 STALLED_S = 7200.0
@@ -131,11 +132,12 @@ class _Run:
         self._ready: list[Job] = []
         no_plan: tuple[int, tuple[Vertex, ...]] = (0, ())
         self._plans: NumberedList[AgvNumber, tuple[int, tuple[Vertex, ...]]] = [no_plan] * len(self.acs.agvs)
-        self._overlaps = 0
+        self._overlaps = self._turns = 0
         self._log_grants = world.scenario.record.grants
         self._soc: NumberedList[AgvNumber, float] = [1.0] * len(self.acs.agvs)
         self._drawn: NumberedList[AgvNumber, float] = [0.0] * len(self.acs.agvs)
         self._footprint: FootprintCheck | None = None
+        self._cramped = _cramped_slots(world.net.graph, world.scenario.agv.length_m)
         for car, slot in self.garage.parked.items():
             self._log("car_initial", NO_AGV, car, slot, {})
 
@@ -297,7 +299,9 @@ class _Run:
         self._footprint.step(self.now_s, self._sumo.bodies())
         for near in self._footprint.events[self._overlaps :]:
             self._log("overlap", near.agv, "", NO_VERTEX, {"others": [near.other], "clearance_m": near.clear_m})
-        self._overlaps = len(self._footprint.events)
+        for near in self._footprint.turns[self._turns :]:
+            self._log("turn_under_car", near.agv, str(near.other), NO_VERTEX, {})
+        self._overlaps, self._turns = len(self._footprint.events), len(self._footprint.turns)
         self._wall["check"] += perf_counter() - t
 
     def _park_initial(self, check: FootprintCheck) -> None:
@@ -310,7 +314,9 @@ class _Run:
 
         many = np.ones(len(x))
         bodies = Bodies(x, y, np.arctan2(dy, dx), many * agv.length_m, many * agv.width_m, many > 0)
-        check.standing(list(self.garage.parked), bodies)
+        check.standing(
+            list(self.garage.parked), bodies, [slot in self._cramped for slot in self.garage.parked.values()]
+        )
 
     def _sample(self) -> None:
         t = perf_counter()
@@ -346,7 +352,7 @@ class _Run:
         if self._footprint is not None and kind == "lift":
             self._footprint.lifted(car)
         elif self._footprint is not None and kind == "lower" and vertex in self.garage.slot_of:
-            self._footprint.lowered(car, agv)
+            self._footprint.lowered(car, agv, vertex in self._cramped)
         self.recorder.event(self.now_s, kind, agv, car, self.names[vertex] if vertex >= 0 else "", **detail)
 
     def _tell(self) -> None:
@@ -410,6 +416,7 @@ class _Run:
             "tasks_wanted": self.world.demand.total,
             "sumo_collisions": self._sumo.collisions if self._sumo is not None else 0,
             "footprint_overlaps": clearance.overlaps if clearance else 0,
+            "turns_under_cars": clearance.turns_under_cars if clearance else 0,
             "least_clearance_m": clearance.least_m if clearance else None,
             "cars_initial": garage.initial,
             "cars_arrived": garage.arrived,
@@ -435,6 +442,12 @@ class _Run:
 
 
 _ACTIVITIES = ("empty", "loaded", "turning", "lifting", "lowering", "waiting", "charging", "idle")
+
+
+def _cramped_slots(graph: Graph, agv_m: float) -> frozenset[Vertex]:
+    """Slots whose lane is too short for an AGV to drive straight out from under a car before it turns."""
+    short = set(graph.head[graph.length_m < 2 * agv_m].tolist())
+    return frozenset(slot for slot in graph.slots if slot in short)
 
 
 def versions() -> dict[str, str]:

@@ -25,8 +25,8 @@ A layout is YAML. Positions are whole cells, ``[x, y]`` with x to the right and 
 
 Runs that share a cell cross there, and an AGV may turn there any way the runs allow. A slot, bay, home, charger or
 refuge is a spur: a dead end on one ``side`` (north, east, south, west) of an aisle cell. ``per_cell`` 1 is a straight
-spur, 2 puts two side by side. ``side: here`` makes the aisle cell itself the slot, home or charger. The order of rows
-is the order in which homes are used.
+spur, 10 m long to a slot and 7 m otherwise; 2 puts two of 10 m side by side. ``side: here`` makes the aisle cell itself
+the slot, home or charger. The order of rows is the order in which homes are used.
 
 A picture draws an open floor, all of it two-way: ``#`` is wall, ``.`` floor and ``S`` a slot, one character a cell,
 the first character is cell ``[0, 0]``; cells side by side are connected::

@@ -22,8 +22,10 @@ NODE_SIZE_M = 0.4
 #: from the cars beside it; slanted from the aisle on, they would overlap. In the throat they are a little apart,
 #: because netconvert can't connect two lanes that end in one point.
 PAIR_SPURS_M = ((0.2, 0.06), (3.0, 0.06), (4.5, 1.75), (10.0, 1.75))
-#: Length of a straight spur, aisle vertex to spur vertex.
+#: Length of a straight spur, aisle vertex to spur vertex. A slot's has room for two bodies: an AGV drives straight out
+#: from under the car that it has set down before it turns at the aisle.
 SPUR_M = 7.0
+SLOT_SPUR_M = 10.0
 #: A roadside place in front of a bay, and the gap between the arriving and the leaving customer's place.
 AREA_M = 8.0
 AREA_GAP_M = 1.0
@@ -189,7 +191,8 @@ class _Planner:
         ):
             raise _MisfitError(f"{where}: the {side} side of {list(cell)} is taken; choose a free side")
         for k, name in enumerate(spur_names(role, cell, side, per_cell)):
-            between = self._place_spur(name, aisle, (dx, -dy), per_cell, k)
+            shape = spur_shape(role, per_cell)
+            between = self._place_spur(name, aisle, (dx, -dy), shape, 1 if k else -1)
             self._add_lane(aisle, name, between, True)
             self.made_by[name] = where
             self.plan_.roles[role].append(name)
@@ -202,17 +205,15 @@ class _Planner:
             for per_cell in (1, 2):
                 yield from spur_names(role, cell, side, per_cell)
 
-    def _place_spur(self, name: str, aisle: str, out: tuple[int, int], per_cell: int, k: int) -> tuple[Point, ...]:
+    def _place_spur(
+        self, name: str, aisle: str, out: tuple[int, int], shape: tuple[Point, ...], hand: int
+    ) -> tuple[Point, ...]:
         """Set the spur's vertex and return the points between it and the aisle."""
         x, y = self.plan_.vertices[aisle]
-        if per_cell == 1:
-            self.plan_.vertices[name] = (x + out[0] * SPUR_M, y + out[1] * SPUR_M)
-            return ()
-        hand = 1 if k else -1
         # sideways is the outward direction turned right, so that the first of a pair is on its left
         *between, end = (
             (x + out[0] * depth + out[1] * hand * aside, y + out[1] * depth - out[0] * hand * aside)
-            for depth, aside in PAIR_SPURS_M
+            for depth, aside in shape
         )
         self.plan_.vertices[name] = end
         return tuple(between)
@@ -277,6 +278,13 @@ def spur_names(role: Role, cell: tuple[int, int], side: Side, per_cell: int) -> 
     """Vertex names of the spurs on one side of an aisle cell."""
     stem = f"{role}{cell[0]}_{cell[1]}{side[0]}"
     return [stem] if per_cell == 1 else [f"{stem}1", f"{stem}2"]
+
+
+def spur_shape(role: Role, per_cell: int) -> tuple[Point, ...]:
+    """The corners of a spur, the last one its vertex: metres from the aisle vertex outwards, and aside."""
+    if per_cell == 2:
+        return PAIR_SPURS_M
+    return ((SLOT_SPUR_M if role == "slot" else SPUR_M, 0.0),)
 
 
 def _trimmed(lane: Lane) -> FloatArray:

@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from shapely import Polygon
 
 from parking_sim.footprint import REACH_M, Bodies, FootprintCheck, rectangle_distance
 
@@ -133,27 +134,118 @@ def test_passing_a_parked_car():
     assert check.events[0].other == "blue"
 
 
+def counts(check):
+    """Overlaps, and turns in slots that are too short."""
+    return check.result().overlaps, check.result().turns_under_cars
+
+
 def test_only_an_empty_agv_gets_under_a_car_and_only_along_its_axis():
     for loaded, overlaps in (((), 0), ((1,), 1)):
         check = park_at_origin()
         for n, x in enumerate(np.arange(-12.0, 0.0, 0.7)):
             check.step(2.0 + n, bodies((0, 50, 0), (x, 0, 0), loaded=loaded))
-        assert check.result().overlaps == overlaps
+        assert counts(check) == (overlaps, 0)
     check = park_at_origin()
     for n, y in enumerate(np.arange(-6.0, 0.0, 0.7)):  # from the side
         check.step(2.0 + n, bodies((0, 50, 0), (-2.5, y, 90)))
-    assert check.result().overlaps == 1
+    assert counts(check) == (1, 0)
 
 
-def test_out_from_under_a_car_in_a_bend():
+@pytest.mark.parametrize("step_m", [0.05, 0.5, 3.0, 9.0])
+def test_straight_in_under_a_car_and_out_again_is_no_overlap_at_any_length_of_step(step_m):
+    check = park_at_origin(30.0)
+    axis = np.array([math.cos(math.radians(30)), math.sin(math.radians(30))])
+    for n, along in enumerate([*np.arange(-12.0, 0.0, step_m), *np.arange(0.0, -12.0, -step_m)]):
+        check.step(2.0 + n, bodies((0, 50, 30), (*(along * axis), 30)))
+    assert counts(check) == (0, 0)
+    assert check.result().parked is None or check.result().parked.agv == 0
+
+
+@pytest.mark.parametrize("loaded", [(), (1,)])
+def test_an_agv_at_a_right_angle_under_a_car_is_counted(loaded):
+    """However it got there: this is the first time that it is seen near the car."""
+    check = park_at_origin()
+    check.step(2.0, bodies((0, 50, 0), (-2.5, 2.5, 90), loaded=loaded))
+    assert counts(check) == (1, 0)
+    assert check.events[0].other == "blue"
+
+
+def out_from_under(poses, cramped=False):
+    """What is counted of an AGV that has set down a car at the origin and then stands as told."""
     check = FootprintCheck()
     check.step(0.5, bodies((0, 0, 0), loaded=(0,)))
-    check.lowered("blue", 0)
-    for n, (x, y, angle) in enumerate([(1, 0.3, 10), (2, 1.0, 25), (3, 2.0, 45), (3.5, 4.0, 70), (3.5, 9.0, 90)]):
-        check.step(1.0 + n, bodies((x, y, angle)))
-    assert check.result().overlaps == 0
-    check.step(9.0, bodies((-1.0, 4.0, 90)))  # back over it, from the side
-    assert check.result().overlaps == 1
+    check.lowered("blue", 0, cramped)
+    for n, pose in enumerate(poses):
+        check.step(1.0 + n, bodies(pose))
+    return counts(check)
+
+
+def swung(rear, aside, degrees):
+    """Where the front is when the rear is at a place."""
+    angle = math.radians(degrees)
+    return rear + 5 * math.cos(angle), aside + 5 * math.sin(angle), degrees
+
+
+@pytest.mark.parametrize(
+    ("rear", "cramped", "expected"), [(-3.0, False, (1, 0)), (-3.0, True, (0, 1)), (1.1, False, (0, 0))]
+)
+def test_a_turn_under_the_car_that_was_set_down_is_counted_and_one_beside_it_is_not(rear, cramped, expected):
+    """The rear is on the car's axis while the front swings round."""
+    assert out_from_under([swung(rear, 0, degrees) for degrees in (0, 15, 29, 45, 60, 80)], cramped) == expected
+
+
+def test_with_a_car_there_is_no_turn_under_another_one_wherever_it_stands():
+    check = FootprintCheck()
+    check.standing(["blue"], bodies((0, 0, 0)), [True])
+    check.step(1.0, bodies(swung(-3, 0, 50), loaded=(0,)))
+    assert counts(check) == (1, 0)
+
+
+@pytest.mark.parametrize(("degrees", "aside", "overlaps"), [(25, 0.0, 0), (34, 0.2, 0), (36, 0.0, 1), (25, 0.4, 1)])
+def test_out_from_under_a_car_in_the_bend_of_a_spur(degrees, aside, overlaps):
+    """The front swings out a little while the rear is on the car's axis."""
+    assert out_from_under([swung(-3, aside, degrees)]) == (overlaps, 0)
+
+
+def test_an_agv_that_lifts_a_car_may_be_in_its_place_before_the_car_is_gone():
+    check = park_at_origin()
+    check.step(2.0, bodies((0, 50, 0), (0, 0, 180)))
+    check.step(2.5, bodies((0, 50, 0), (0.01, 0, 0), loaded=(1,)))
+    assert counts(check) == (0, 0)
+    check.step(3.0, bodies((0, 50, 0), (0.5, 0, 0), loaded=(1,)))
+    assert counts(check) == (1, 0)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.tuples(metres, metres, st.floats(-180.0, 180.0)),
+    st.one_of(st.floats(-180.0, 180.0), st.sampled_from([0.0, 20.0, -28.0, 180.0, 160.0, 37.0])),
+    st.floats(-7.0, 7.0),
+    st.one_of(st.floats(-4.0, 4.0), st.floats(-0.5, 0.5)),
+    st.booleans(),
+)
+def test_one_agv_near_one_car_against_polygons(car, turned, along, aside, loaded):
+    """What is counted, told from polygons and from the car's frame of reference."""
+    x, y, angle = car
+    axis = np.array([math.cos(math.radians(angle)), math.sin(math.radians(angle))])
+    side = np.array([-axis[1], axis[0]])
+    heading = math.radians(angle + turned)
+    ahead = np.array([math.cos(heading), math.sin(heading)])
+    front = np.array([x, y]) - 2.5 * axis + along * axis + aside * side + 2.5 * ahead
+    check = FootprintCheck()
+    check.standing(["blue"], bodies(car), [False])
+    check.step(1.0, bodies((*front, angle + turned), loaded=(0,) if loaded else ()))
+
+    theirs = (Polygon(corners(_rectangle(car))), Polygon(corners(_rectangle((*front, angle + turned)))))
+    near_m = theirs[0].distance(theirs[1])
+    half = np.array([math.cos(math.radians(turned)), math.sin(math.radians(turned))]) * 2.5
+    ends = sorted((np.array([along, aside]) + way * half for way in (1, -1)), key=lambda end: abs(end[0]))
+    sharp = min(abs(turned) % 180, 180 - abs(turned) % 180)
+    assume(abs(sharp - 35) > 1e-3 and abs(abs(ends[0][1]) - 0.3) > 1e-6 and not 0 < near_m < 1e-6)
+    assume(abs(abs(ends[0][0]) - abs(ends[1][0])) > 1e-6 or sharp == 0)
+    aligned = sharp <= 35 and abs(ends[0][1]) <= 0.3
+    allowed = aligned and (not loaded or math.hypot(along, aside) <= 0.3)
+    assert counts(check) == (near_m == 0 and not allowed, 0)
 
 
 def test_straight_from_under_one_car_in_under_another():
@@ -165,10 +257,10 @@ def test_straight_from_under_one_car_in_under_another():
     check.step(1.0, bodies((0, 0, 0), (60, 0, 0), (4, 50, 0)))
     for n, x in enumerate(np.arange(0.5, 8.0, 0.5)):
         check.step(2.0 + n, bodies((x, 0, 0), (60, 0, 0), (4, 50, 0)))
-    assert check.result().overlaps == 0
+    assert counts(check) == (0, 0)
     check.step(20.0, bodies((8, 0, 0), (60, 0, 0), (5.5, -3, 90)))
     check.step(21.0, bodies((8, 0, 0), (60, 0, 0), (5.5, 0, 90)))
-    assert [event.other for event in check.events if event.agv == 2] == ["to"]
+    assert [(event.agv, event.other) for event in check.events if event.other == "to"] == [(2, "to")]
 
 
 def test_a_lifted_car_is_gone():
@@ -189,7 +281,7 @@ def test_many_bodies_against_every_pair(seed):
     n, cars = 12, 30
     check = FootprintCheck()
     spots = np.stack([random.uniform(0, 60, cars), random.uniform(0, 60, cars), random.uniform(0, 360, cars)], 1)
-    check.standing([f"c{k}" for k in range(cars)], bodies(*spots))
+    check.standing([f"c{k}" for k in range(cars)], bodies(*spots), [False] * cars)
     fronts = np.stack([random.uniform(0, 60, n), random.uniform(0, 60, n), random.uniform(0, 360, n)], 1)
     check.step(1.0, bodies(*fronts, loaded=range(n)))
     agvs = [_rectangle(f) for f in fronts]

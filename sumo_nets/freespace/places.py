@@ -13,7 +13,7 @@ from sumo_nets.freespace.floor import Floor, Point
 from sumo_nets.freespace.floorplan import Box, FloorPlan, boxes_of
 from sumo_nets.graph import Role
 from sumo_nets.layout import STEP, LayoutError, Side
-from sumo_nets.plan import PAIR_SPURS_M, SPUR_M
+from sumo_nets.plan import spur_shape
 
 #: The cells are shifted by this part of the pitch when the best origin is looked for.
 _SHIFTS = 16
@@ -48,7 +48,7 @@ def best_origin(plan: FloorPlan, walls: Floor, floor: Floor) -> Point:
     def worth(origin: Point) -> tuple[int, int, float]:
         used, slots, least = 0, 0, ROOM_REACH_M
         for role, box, walls_near, floor_near in boxes:
-            line, room = _best_line(box, walls_near, floor_near, origin, plan.pitch_m)
+            line, room = _best_line(box, _place(role, box), walls_near, floor_near, origin, plan.pitch_m)
             used += bool(line)
             slots += len(line) * box.per_cell if role == "slot" else 0
             least = min(least, room)
@@ -65,11 +65,13 @@ def _around(box: Box, floor: Floor) -> Floor:
     return Floor(floor.width, floor.height, tuple(near), floor.clearance, floor.outline)
 
 
-def _best_line(box: Box, walls: Floor, floor: Floor, origin: Point, pitch: float) -> tuple[list[Cell], float]:
+def _best_line(
+    box: Box, place: Point, walls: Floor, floor: Floor, origin: Point, pitch: float
+) -> tuple[list[Cell], float]:
     """The line of aisle cells from which the most places of the box are reached, and the places' least room."""
     side = OPPOSITE[box.opens]
     along = 0 if side in ("north", "south") else 1
-    depth, aside = _place(box.per_cell)
+    depth, aside = place
     shift = [STEP[side][0] * depth, STEP[side][1] * depth]
     left, top, right, bottom = box.box
     spans = [[left - shift[0], right - shift[0]], [top - shift[1], bottom - shift[1]]]
@@ -81,26 +83,26 @@ def _best_line(box: Box, walls: Floor, floor: Floor, origin: Point, pitch: float
     best: tuple[list[Cell], float] = ([], ROOM_REACH_M)
     for line in across:
         cells: list[Cell] = [(k, line) if along == 0 else (line, k) for k in lengthwise]
-        rooms = {cell: _standing_room(cell, box, walls, floor, origin, pitch) for cell in cells}
+        rooms = {cell: _standing_room(cell, box, place, walls, floor, origin, pitch) for cell in cells}
         fitting = [cell for cell in cells if rooms[cell] >= MIN_GAP_M]
         if len(fitting) > len(best[0]):
             best = fitting, min(rooms[cell] for cell in fitting)
     return best
 
 
-def _place(per_cell: int) -> Point:
+def _place(role: Role, box: Box) -> Point:
     """How deep and how far aside of the aisle cell the middle of a place lies."""
-    if per_cell == 1:
-        return SPUR_M - AGV_LENGTH_M / 2, 0.0
-    depth, aside = PAIR_SPURS_M[-1]
+    depth, aside = spur_shape(role, box.per_cell)[-1]
     return depth - AGV_LENGTH_M / 2, aside
 
 
-def _standing_room(cell: Cell, box: Box, walls: Floor, floor: Floor, origin: Point, pitch: float) -> float:
+def _standing_room(
+    cell: Cell, box: Box, place: Point, walls: Floor, floor: Floor, origin: Point, pitch: float
+) -> float:
     """Least room around AGVs standing in a cell's places; negative if the aisle cell or a place is no floor."""
     x, y = origin[0] + cell[0] * pitch, origin[1] + cell[1] * pitch
     dx, dy = STEP[OPPOSITE[box.opens]]
-    depth, aside = _place(box.per_cell)
+    depth, aside = place
     hands = (-1, 1) if box.per_cell == 2 else (0,)
     bodies = np.array([(x + dx * depth + dy * h * aside, y + dy * depth + dx * h * aside, dx, dy) for h in hands])
     if not floor.holds((x, y)) or not all(walls.holds((bx, by)) for bx, by, _, _ in bodies.tolist()):
@@ -122,12 +124,13 @@ def rows_of(plan: FloorPlan, walls: Floor, floor: Floor, cells: Cells, source: s
     """
     rows: list[Row] = []
     for role, label, box in boxes_of(plan):
-        line = [c for c in _best_line(box, walls, floor, cells.origin, plan.pitch_m)[0] if c in cells.beside]
+        place = _place(role, box)
+        line = [c for c in _best_line(box, place, walls, floor, cells.origin, plan.pitch_m)[0] if c in cells.beside]
         if not line:
             raise LayoutError(
                 f"{source}: {label}: no place fits between walls and pillars with an aisle to the {box.opens};"
                 f" an AGV is {AGV_LENGTH_M:g} x {AGV_WIDTH_M:g} m, a place begins"
-                f" {_place(box.per_cell)[0] - AGV_LENGTH_M / 2:.1f} m beside the middle of the aisle"
+                f" {place[0] - AGV_LENGTH_M / 2:.1f} m beside the middle of the aisle"
             )
         side = OPPOSITE[box.opens]
         rows += [Row(role, label, side, box.per_cell, run) for run in _unbroken(line, cells)]
