@@ -16,6 +16,7 @@ from analysis.deadlocks import deadlocks, draw, why
 from analysis.figures import figures, words
 from analysis.metrics import METRICS, Metrics, run_metrics
 from analysis.tables import Run, load_run
+from analysis.turned_away import turned_away, turned_away_words
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -59,6 +60,7 @@ def write_report(folder: Path) -> Path:
         asked=_asked(run.meta.get("scenario") or {}),
         service=_service(metrics),
         service_columns=_SERVICE_COLUMNS,
+        away=turned_away_words(turned_away(run.tasks)),
         drawings=figures(run),
         stories=deadlock_stories(run)[:_STORIES],
         story_count=int(metrics["deadlocks_found"]),
@@ -102,7 +104,7 @@ def headlines(run: Run, metrics: Metrics) -> list[str]:
         metrics: its metrics.
 
     Returns:
-        One to six sentences.
+        One to seven sentences.
     """
     m = metrics
     wanted = m["tasks_wanted"] if _known(m["tasks_wanted"]) else m["requests"]
@@ -113,6 +115,8 @@ def headlines(run: Run, metrics: Metrics) -> list[str]:
             f"19 of 20 within {_span(m['retrieval_wait_p95_s'])}. "
             f"{_percent(m['retrieval_within_300_s_share'])} waited at most 5 minutes."
         )
+    away = turned_away_words(turned_away(run.tasks))
+    lines.append(f"{away[0].upper()}{away[1:]}.")
     if m["parks_done"] and _known(m["park_wait_p50_s"]):
         lines.append(f"A car to be parked stood at the bay for {_span(m['park_wait_p50_s'])} (median).")
     if _known(m["spill_back_s"]) and m["spill_back_s"] > 0:
@@ -255,6 +259,7 @@ def _tiles(m: Metrics) -> list[tuple[str, str]]:
         (_minutes(m["retrieval_wait_p50_s"]), "retrieval wait, median (min:s)"),
         (_minutes(m["retrieval_wait_p95_s"]), "retrieval wait, 95 % (min:s)"),
         (_percent(within) if _known(within) else "–", "retrievals within 5 min"),
+        (number(m["customers_turned_away"]), "customers turned away"),
         (number(round(float(m["cars_out_per_hour"]), 1)), "cars out per hour"),
         (number(m["deadlocks_found"]), "deadlocks found"),
         (number(m["sumo_collisions"]), "collisions"),
@@ -320,6 +325,7 @@ def _index_row(folder: Path, base: Path) -> dict[str, Any]:
         "cells": [
             _minutes(metrics["retrieval_wait_p50_s"]),
             _minutes(metrics["retrieval_wait_p95_s"]),
+            number(metrics["customers_turned_away"]),
             number(round(float(metrics["cars_out_per_hour"]), 1)),
             number(metrics["throughput"]),
             f"{metrics['agv_busy_share'] * 100:.0f} %" if _known(metrics["agv_busy_share"]) else "–",

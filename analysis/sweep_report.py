@@ -16,6 +16,7 @@ from analysis.measures import MEASURES, Interval, interval, measure_runs
 from analysis.report import environment, number, write_page
 from analysis.runs import Runs, load_runs
 from analysis.tables import load_run
+from analysis.turned_away import percent
 from analysis.variants import NAME, Variant, label, value_text
 
 if TYPE_CHECKING:
@@ -152,11 +153,17 @@ def _headlines(runs: Runs, variants: Sequence[Measured], frame: pd.DataFrame) ->
         also = f"; the intervals of {tied} others reach into its own" if tied else ""
         lines.append(
             f"Customers waited least with {variants[best].variant.name}: 19 of 20 had their car within"
-            f" {_interval_words(known[best])} s of asking, mean over runs{also}."
+            f" {_interval_words(known[best])} s of asking, mean over runs{also}.{_away(variants[best])}"
         )
     if variants and max(variant.runs for variant in variants) < 2:
         lines.append("With one seed a variant there are no intervals: give more seeds.")
     return lines
+
+
+def _away(variant: Variant) -> str:
+    """A sentence on the customers whom a variant turned away, empty if there are none."""
+    share = variant.means["turned_away_share"].mean
+    return f" {percent(share)} of its customers were turned away." if share > 0 else ""
 
 
 def _interval_words(value: Interval) -> str:

@@ -57,14 +57,18 @@ def turned_away(tasks: pd.DataFrame) -> TurnedAway:
     return TurnedAway(len(away), len(came), dict(reasons.most_common()))
 
 
+def percent(share: float) -> str:
+    """A share in percent, with two figures however small it is."""
+    return f"{100 * share:.2g} %" if share < 0.1 else f"{100 * share:.0f} %"
+
+
 def turned_away_words(away: TurnedAway) -> str:
     """The counts in words, such as ``42 of 48 customers were turned away (88 %): queue too long 42``."""
     if not away.came:
         return "no customer came with a car"
     if not away.number:
         return f"none of {away.came:,} customers was turned away"
-    share = f"{100 * away.share:.2g}" if away.share < 0.1 else f"{100 * away.share:.0f}"
     reasons = ", ".join(f"{reason} {count:,}" for reason, count in away.reasons.items())
     were = "was" if away.number == 1 else "were"
-    told = f"{away.number:,} of {away.came:,} customers {were} turned away ({share} %)"
+    told = f"{away.number:,} of {away.came:,} customers {were} turned away ({percent(away.share)})"
     return f"{told}: {reasons}" if reasons else told

@@ -25,7 +25,7 @@ from parking_sim.reproduce import app as reproduce_app
 if TYPE_CHECKING:
     from parking_sim.simulation import Progress, Summary
 
-#: Exit codes: the run ended without finishing its work; bad input; Ctrl-C.
+#: Exit codes: a run did not finish its work, or a check of it failed; bad input; Ctrl-C.
 UNFINISHED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
 app = typer.Typer(
@@ -127,7 +127,7 @@ def run(
     pages = _write_pages(folder, report, replayed)
     if not quiet:
         _print_summary(summary, folder, pages)
-    raise typer.Exit(exit_code(summary.status, loaded.duration_s is not None))
+    raise typer.Exit(_verdict(summary, loaded.duration_s is not None))
 
 
 @app.command("replay")
@@ -164,7 +164,7 @@ def resume(
     pages = _write_pages(folder, report, loaded.record.replay)
     if not quiet:
         _print_summary(summary, folder, pages)
-    raise typer.Exit(exit_code(summary.status, loaded.duration_s is not None))
+    raise typer.Exit(_verdict(summary, loaded.duration_s is not None))
 
 
 @app.command()
@@ -341,19 +341,17 @@ def doctor() -> None:
     raise typer.Exit(UNFINISHED if any(f.needed and not f.ok for f in findings) else 0)
 
 
-def exit_code(status: str, has_end: bool = False) -> int:
-    """Exit code for a run.
+def _verdict(summary: Summary, has_end: bool) -> int:
+    """Say which checks of a run failed, and give its exit code: 0, 1 for one that is unfinished or wrong, or 130.
 
-    Args:
-        status: how it ended, see ``parking_sim.simulation.Summary``.
-        has_end: the scenario has a duration, so that reaching it is no failure.
-
-    Returns:
-        0, 1 for work left undone, or 130.
+    ``has_end``: the scenario has a duration, so that reaching it is no failure.
     """
-    if status == "finished" or (status == "time_limit" and has_end):
-        return 0
-    return INTERRUPTED if status == "interrupted" else UNFINISHED
+    if summary.status == "interrupted":
+        return INTERRUPTED
+    for line in summary.failed:
+        print(f"check failed: {line}", file=sys.stderr)
+    ended = summary.status == "finished" or (summary.status == "time_limit" and has_end)
+    return 0 if ended and not summary.failed else UNFINISHED
 
 
 def _warn_of_blocked_ways(garage: str | Path) -> None:
@@ -419,6 +417,9 @@ def _write_pages(folder: Path, report: bool, replay: bool) -> dict[str, Path]:
 
 
 def _print_summary(summary: Summary, folder: Path, pages: Mapping[str, Path]) -> None:
+    from analysis.tables import load_run
+    from analysis.turned_away import turned_away, turned_away_words
+
     shown = (
         ("tasks_done", "tasks done"),
         ("tasks_wanted", "of"),
@@ -435,6 +436,7 @@ def _print_summary(summary: Summary, folder: Path, pages: Mapping[str, Path]) ->
         value = summary.metrics.get(key)
         if isinstance(value, int | float) and not math.isnan(value):
             print(f"  {words:26} {value:.6g}")
+    print(f"  {turned_away_words(turned_away(load_run(folder).tasks))}")
     print(f"record: {folder}")
     for what, page in pages.items():
         print(f"{what}: {page}")

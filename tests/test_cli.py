@@ -266,6 +266,32 @@ def test_a_run_writes_its_record_and_says_where(workplace: Path, capfd: pytest.C
     assert (workplace / "run" / "report.html").is_file()
 
 
+def test_a_run_says_how_many_customers_were_turned_away(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A hundred cars come at once to the 61 slots of map1; none that was turned away counts as done."""
+    rows = [*(f"0,park,c{k}" for k in range(100)), "30,retrieve,c99"]
+    (workplace / "rush.csv").write_text("time_s,kind,car\n" + "\n".join(rows) + "\n")
+    (workplace / "rush.yaml").write_text(
+        "garage: map1\nagvs: 2\nplant: discrete\nduration_s: 60\nworkload: {kind: csv, path: rush.csv}\n"
+    )
+    assert call(words("run rush.yaml --out rush --no-replay")) == 0
+    out, err = capfd.readouterr()
+    assert err == ""
+    said = "39 of 100 customers were turned away (39 %): every slot is taken or promised 39"
+    assert f"  {said}\nrecord: rush\n" in out
+    assert (workplace / "rush" / "report.html").read_text(encoding="utf-8").count(said) == 2
+    metrics = json.loads((workplace / "rush" / "metrics.json").read_text())
+    assert (metrics["customers_turned_away"], metrics["requests_void"]) == (39, 1)
+    assert metrics["tasks_done"] < 10
+
+
+def test_a_run_in_which_a_check_failed_exits_with_1(
+    workplace: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("controller.garage.Garage.audit", lambda garage: ["a car is lost"])
+    assert call(words("run small.yaml --out run -q --no-report")) == 1
+    assert capfd.readouterr() == ("", "check failed: Every car is accounted for: no (a car is lost)\n")
+
+
 def test_a_quiet_run_says_nothing(workplace: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert call(words("run small.yaml --out run -q --no-report")) == 0
     assert capfd.readouterr() == ("", "")
