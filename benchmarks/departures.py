@@ -1,9 +1,9 @@
 """Batches of departures planned at once: what the planners of papers 003 and 004 make of them beside WHCA*.
 
-    python benchmarks/departures.py
+    python benchmarks/remake.py departures
 
 Loaded AGVs stand in random slots of a shipped garage and all want to the bays, or the places beside them, within one
-window. Printed are means over the batches: agents that hold their place, delay of the others in moves (of a cell)
+window. The figures are means over the batches: agents that hold their place, delay of the others in moves (of a cell)
 against driving alone, and CPU milliseconds a batch.
 """
 
@@ -23,7 +23,6 @@ from sumo_nets.graph import Graph
 from sumo_nets.numbering import NO_EDGE, Vertex
 from sumo_nets.read import read_net
 
-PLANNERS = ("whca", "binary_tree", "ga_single", "ga_two_stage")
 BATCHES, WINDOW_CELLS = 10, 40
 
 
@@ -55,25 +54,21 @@ def delay(problem: PlanningProblem, result: PlanResult, distances: Distances) ->
     return float(np.mean(late)) / float(np.median(problem.motion.edge_steps[1]))
 
 
-def main() -> None:
-    print("| garage | AGVs | planner | hold | delay, moves | CPU ms |\n|---|---|---|---|---|---|")
-    for name, agvs in (("map1", 4), ("map1", 8), ("map2", 8), ("map2", 16)):
-        graph = read_net(name).graph
-        motion = sumo_motion(graph, AgvType(), 0.5)
-        problems = [batch(graph, motion, agvs, seed) for seed in range(BATCHES)]
-        distances = Distances(Space(graph, motion))
-        for planner_name in PLANNERS:
-            planner = load_planner(planner_name, graph, motion, {})
-            planner(problems[0])  # compiled before anything is timed
-            began = process_time()
-            results = [planner(problem) for problem in problems]
-            spent_ms = 1000 * (process_time() - began) / BATCHES
-            if any(validate(problem, result) for problem, result in zip(problems, results, strict=True)):
-                raise RuntimeError(f"{planner_name}: a plan that can't be driven")
-            held = np.mean([len(result.failed) for result in results])
-            late = np.mean([delay(p, r, distances) for p, r in zip(problems, results, strict=True)])
-            print(f"| {name} | {agvs} | {planner_name} | {held:.1f} | {late:.2f} | {spent_ms:.1f} |", flush=True)
-
-
-if __name__ == "__main__":
-    main()
+def measure(name: str, agvs: int, planner_name: str) -> dict[str, float]:
+    """Agents that hold their place, delay of the others in moves, and CPU milliseconds: means over the batches."""
+    graph = read_net(name).graph
+    motion = sumo_motion(graph, AgvType(), 0.5)
+    problems = [batch(graph, motion, agvs, seed) for seed in range(BATCHES)]
+    distances = Distances(Space(graph, motion))
+    planner = load_planner(planner_name, graph, motion, {})
+    planner(problems[0])  # compiled before anything is timed
+    began = process_time()
+    results = [planner(problem) for problem in problems]
+    spent_ms = 1000 * (process_time() - began) / BATCHES
+    if any(validate(problem, result) for problem, result in zip(problems, results, strict=True)):
+        raise RuntimeError(f"{planner_name}: a plan that can't be driven")
+    return {
+        "held": float(np.mean([len(result.failed) for result in results])),
+        "delay": float(np.mean([delay(p, r, distances) for p, r in zip(problems, results, strict=True)])),
+        "cpu_ms": spent_ms,
+    }
