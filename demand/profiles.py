@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from parking_sim.errors import InputError
+from sumo_nets.wording import one_of
 
 Floats = NDArray[np.float64]
 Hour = Annotated[float, Field(ge=0, le=24)]
@@ -264,7 +265,7 @@ def find_profile(name: str, base_dir: Path = Path()) -> Profile:
         return PROFILES[name]
     path = base_dir / name
     if path.suffix not in (".yaml", ".yml"):
-        raise InputError(f"profile: {name!r}: give one of {', '.join(PROFILES)}, or a file (.yaml)")
+        raise InputError(f"profile: {name!r}: {one_of(PROFILES)}, or a file (.yaml)")
     try:
         return Profile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
     except ValidationError as error:

@@ -20,7 +20,7 @@ from controller.rules import Rules
 from controller.types import AgvNumber, Log, Motion
 from demand.types import Demand, stream
 from demand.workloads import make_demand
-from parking_sim.config import AgvConfig, ControlConfig, Scenario
+from parking_sim.config import AgvConfig, ControlConfig, Scenario, unknown_names
 from parking_sim.errors import InputError
 from parking_sim.faults import scripted_faults
 from parking_sim.plants import Plant
@@ -31,6 +31,7 @@ from sumo_nets.doors import one_door_each
 from sumo_nets.in_use import first_places
 from sumo_nets.numbering import Numbered, Vertex
 from sumo_nets.read import GarageNet, read_net
+from sumo_nets.wording import one_of
 
 if TYPE_CHECKING:
     from parking_sim.plants.sumo_agv import AgvType
@@ -90,11 +91,9 @@ class World:
         """The controller.
 
         Raises:
-            InputError: unknown planner, planner option or dispatch rule.
+            InputError: a planner's file or option that can't be used.
         """
         s, graph = self.scenario, self.net.graph
-        if s.dispatch not in DISPATCH:
-            raise InputError(f"dispatch: {s.dispatch!r}: give one of {', '.join(DISPATCH)}")
         try:
             planner = load_planner(s.planner_source, graph, self.motion, s.planner_options)
         except ValueError as error:
@@ -109,9 +108,11 @@ def assemble(scenario: Scenario) -> World:
     """Check a scenario against its garage and build what does not need a running plant.
 
     Raises:
-        InputError: an unknown rule set, more AGVs than homes, a demand that does not fit.
+        InputError: an unknown planner, dispatch rule or rule set, more AGVs than homes, a demand that does not fit.
         NetError: an unknown net, or one of which ``parking-sim check-net`` complains.
     """
+    for key, wrong in unknown_names(scenario):
+        raise InputError(f"{key}: {wrong}")
     whole = read_net(scenario.garage_source)
     require_fit(whole, (scenario.agv.length_m, scenario.agv.width_m))
     net = first_places(whole, scenario.bays, scenario.chargers)
@@ -141,13 +142,12 @@ def _check_zones(demand: Demand, net: GarageNet) -> None:
     slots = [net.graph.names[v] for v in net.graph.slots]
     for zone in sorted(zones):
         if not any(slot.startswith(zone) for slot in slots):
-            names = f"{net.name} has {slots[0]} to {slots[-1]}"
-            raise InputError(f"workload: zone {zone!r}: no slot's name begins so; {names}")
+            raise InputError(
+                f"workload: zone {zone!r}: no slot's name begins so; {one_of(slots, zone)}, or its beginning"
+            )
 
 
 def _ticks(scenario: Scenario) -> TickRules:
-    if scenario.rules not in RULE_SETS:
-        raise InputError(f"rules: {scenario.rules!r}: give one of {', '.join(RULE_SETS)}")
     return RULE_SETS[scenario.rules]
 
 

@@ -21,6 +21,7 @@ from parking_sim import gate_logs, planner_check, routes, studies
 from parking_sim.errors import InputError, RunFailedError
 from parking_sim.folders import check_folder
 from parking_sim.reproduce import app as reproduce_app
+from sumo_nets.wording import one_of
 
 if TYPE_CHECKING:
     from parking_sim.simulation import Progress, Summary
@@ -75,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         code = app(words, prog_name=app.info.name, standalone_mode=False) or 0
     except usage_error as error:
-        _complain(getattr(error, "format_message", error.__str__)())
+        _complain(_usage(error))
         code = BAD_INPUT
     except (KeyboardInterrupt, typer.Abort):
         print("interrupted", file=sys.stderr)
@@ -362,6 +363,14 @@ def _warn_of_blocked_ways(garage: str | Path) -> None:
     net = read_net(garage)
     if blocked_ways(net.graph):
         print(f"warning: {net.name} is {describe(net.graph)}", file=sys.stderr)
+
+
+def _usage(error: Exception) -> str:
+    """What is wrong with the words given; typer itself names the valid commands only where one is like that given."""
+    message: str = getattr(error, "format_message", error.__str__)().replace("Value error, ", "")
+    commands = getattr(getattr(getattr(error, "ctx", None), "command", None), "commands", {})
+    lacks_command = "command" in message and "Did you mean" not in message
+    return f"{message.rstrip('.')}: {one_of(commands)}" if commands and lacks_command else message
 
 
 def _complain(message: str) -> None:

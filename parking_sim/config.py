@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import typing
 from collections.abc import Hashable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -16,7 +15,9 @@ from demand.park_exit import ParkExit
 from demand.workloads import WORKLOADS, WorkloadConfig
 from parking_sim.errors import InputError
 from parking_sim.fault_config import FaultConfig
+from sumo_nets.fields import locate
 from sumo_nets.read import shipped_nets
+from sumo_nets.wording import one_of
 
 #: AGVs of the shipped garages when nothing else is said.
 DEFAULT_AGVS = {"map1": 4, "map2": 4, "map3": 8, "map1_thesis": 4, "map2_thesis": 4, "map3_thesis": 8}
@@ -306,13 +307,20 @@ def _validate(data: dict[str, object], overrides: Mapping[str, object], source: 
             source = "command line"
         raise InputError(f"{source}: {_one_line(first)}") from None
     scenario._base_dir = base_dir
-    for key, wrong in _unknown_names(scenario):
+    for key, wrong in unknown_names(scenario):
         raise InputError(f"{'command line' if key in overrides else source}: {key}: {wrong}")
     return scenario
 
 
-def _unknown_names(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Names that no table has: the key, and what is wrong with its value."""
+def unknown_names(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Names in a scenario that no table has.
+
+    Args:
+        scenario: the scenario.
+
+    Yields:
+        The key, and what is wrong with its value and what would be valid.
+    """
     from controller.dispatch import DISPATCH
     from controller.planners.table import PLANNERS
     from parking_sim.rulesets import RULE_SETS
@@ -322,23 +330,23 @@ def _unknown_names(scenario: Scenario) -> Iterator[tuple[str, str]]:
         if not path.is_file():
             yield "planner", f"{scenario.planner!r}: no such file; give file.py:function"
     elif scenario.planner not in PLANNERS:
-        yield "planner", f"{scenario.planner!r}: give one of {', '.join(PLANNERS)}, or file.py:function"
+        yield "planner", f"{scenario.planner!r}: {one_of(PLANNERS)}, or file.py:function"
     for key, value, table in (
         ("dispatch", scenario.dispatch, DISPATCH),
         ("rules", scenario.rules, RULE_SETS),
     ):
         if value not in table:
-            yield key, f"{value!r}: give one of {', '.join(table)}"
+            yield key, f"{value!r}: {one_of(table)}"
     if not scenario.garage.endswith(NET_SUFFIXES):
         if scenario.garage not in shipped_nets():
-            yield "garage", f"{scenario.garage!r}: give one of {', '.join(shipped_nets())}, or a file (.net.xml.gz)"
+            yield "garage", f"{scenario.garage!r}: {one_of(shipped_nets())}, or a file (.net.xml.gz)"
     elif not Path(scenario.garage_source).is_file():
         yield "garage", f"{scenario.garage!r}: no such file"
 
 
 def _one_line(error: ErrorDetails) -> str:
     """Field, value, and what would be valid."""
-    field, model = _locate(error["loc"])
+    field, model = locate(Scenario, error["loc"])
     kind, context = error["type"], error.get("ctx", {})
     if kind == "extra_forbidden":
         known = sorted(model.model_fields) if model else []
@@ -349,13 +357,13 @@ def _one_line(error: ErrorDetails) -> str:
         wanted = model.model_fields[str(error["loc"][-1])].description if model else ""
         return f"{field}: missing ({wanted})"
     if kind == "union_tag_not_found":
-        return f"{field}.kind: missing; give one of {', '.join(WORKLOADS)}"
+        return f"{field}.kind: missing; {one_of(WORKLOADS)}"
     if kind in ("model_type", "model_attributes_type", "dict_type"):
         return f"{field}: {_shown(error['input'])}: give a mapping of keys to values"
     if kind == "too_short":
         return f"{field}: {_shown(error['input'])}: give at least {context['min_length']}"
     if kind == "union_tag_invalid":
-        return f"{field}.kind: {_shown(context.get('tag'))}: give one of {', '.join(WORKLOADS)}"
+        return f"{field}.kind: {_shown(context.get('tag'))}: {one_of(WORKLOADS)}"
     if kind == "literal_error":
         return f"{field}: {_shown(error['input'])}: give {context['expected']}"
     message = error["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
@@ -367,27 +375,3 @@ def _one_line(error: ErrorDetails) -> str:
 def _shown(value: object) -> str:
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _locate(loc: tuple[int | str, ...]) -> tuple[str, type[BaseModel] | None]:
-    """The field's path as a file writes it, and the model that the last key belongs to."""
-    path, model, inner = "", None, list[type[BaseModel]]([Scenario])
-    for part in loc:
-        tagged = [m for m in inner if len(inner) > 1 and m.model_fields["kind"].default == part]
-        if tagged:
-            inner = tagged
-        elif isinstance(part, int):
-            path += f"[{part}]"
-        else:
-            path += f".{part}" if path else part
-            model = inner[0] if len(inner) == 1 else None
-            field = model.model_fields.get(part) if model else None
-            inner = list(_models_in(field.annotation)) if field else []
-    return path, model
-
-
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for argument in typing.get_args(annotation):
-        yield from _models_in(argument)

@@ -16,6 +16,7 @@ from parking_sim.errors import InputError
 from parking_sim.fault_config import AGV_FAULTS, DRAWN_FAULTS, AnyFault, Drawn, FaultConfig
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import NO_VERTEX, Vertex
+from sumo_nets.wording import one_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +68,13 @@ def scripted_faults(config: FaultConfig, graph: Graph, agvs: int) -> list[Fault]
     for number, row in enumerate(config.script):
         if row.agv >= agvs:
             raise InputError(f"faults.script[{number}].agv: {row.agv}: AGVs have the numbers 0 to {agvs - 1}")
-        if row.place and row.place not in graph.index:
-            raise InputError(f"faults.script[{number}].place: {row.place!r}: {graph.name} has no such vertex")
+        kinds = {"bay": graph.bays, "charger": graph.chargers}
+        what = row.kind if row.kind in kinds else "vertex"
+        valid = [graph.names[v] for v in kinds.get(row.kind, graph.vertices)]
+        if row.place and row.place not in valid:
+            wrong = f"{row.place!r}: {graph.name} has no such {what}; {one_of(valid, row.place)}"
+            raise InputError(f"faults.script[{number}].place: {wrong}")
         vertex = graph.index[row.place] if row.place else NO_VERTEX
-        known = {"bay": graph.bays, "charger": graph.chargers}.get(row.kind)
-        if known is not None and vertex not in known:
-            raise InputError(f"faults.script[{number}].place: {row.place!r} is no {row.kind}")
         faults.append(Fault(row.at_s, row.kind, row.for_s, AgvNumber(row.agv), vertex))
     return sorted(faults, key=lambda fault: fault.start_s)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from parking_sim.errors import InputError
+from sumo_nets.wording import one_of
 
 if TYPE_CHECKING:
     from controller.routing.binary_tree import Route
@@ -79,9 +80,7 @@ def turns(
 
 def _vertex(graph: Graph, net: str, name: str) -> Vertex:
     if name not in graph.index:
-        raise InputError(
-            f"{net}: {name!r}: no such vertex; vertices are called like {', '.join(list(graph.names)[:3])}"
-        )
+        raise InputError(f"{net}: {name!r}: no such vertex; {one_of(graph.names, name)}")
     return graph.index[name]
 
 

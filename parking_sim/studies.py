@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from parking_sim.errors import InputError
+from sumo_nets.wording import one_of
 
 if TYPE_CHECKING:
     from analysis.figures import Drawing
@@ -69,7 +70,7 @@ def compare(
     _check_finite({"--warmup": warmup})
     for key in measure or ():
         if key not in MEASURES:
-            raise InputError(f"--measure: {key!r}: give one of {', '.join(MEASURES)}")
+            raise InputError(f"--measure: {key!r}: {one_of(MEASURES, key)}")
     if figure is not None and figure.suffix not in (".svg", ".png"):
         raise InputError(f"--figure: {figure}: give a file name that ends with .svg or .png")
     names = variant_names(a, b)
@@ -216,7 +217,7 @@ def _most(scenario: Scenario, name: str, max_agvs: int | None, also: str) -> dic
     most = {"agvs": max_agvs or homes}
     for what in also.split(",") if also else ():
         if what not in there:
-            raise InputError(f"--also: {what!r}: give one of {', '.join(there)}, or both with a comma between them")
+            raise InputError(f"--also: {what!r}: {one_of(there)}, or both with a comma between them")
         if not there[what]:
             raise InputError(f"--also: {what}: {name} has none")
         most[what] = there[what]

@@ -21,6 +21,7 @@ from parking_sim.errors import InputError
 from parking_sim.sizing import measure_specs
 from parking_sim.sweep import open_folder, write_plan
 from parking_sim.sweep_plan import RunSpec, make_runs, set_keys
+from sumo_nets.wording import one_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +98,7 @@ def tune_scenario(
         RunFailedError: a run failed twice.
     """
     if measure not in MEASURES:
-        raise InputError(f"--measure: {measure!r}: give one of {', '.join(MEASURES)}")
+        raise InputError(f"--measure: {measure!r}: {one_of(MEASURES, measure)}")
     try:
         import optuna
     except ImportError:

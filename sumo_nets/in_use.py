@@ -32,7 +32,7 @@ def first_places(net: GarageNet, bays: int | None = None, chargers: int | None =
     graph = net.graph
     for role, number in kept.items():
         if number > len(graph.roles[role]):
-            raise NetError(f"{role}s: {number}: {net.name} has {len(graph.roles[role])}")
+            raise NetError(f"{role}s: {number}: {net.name} has {len(graph.roles[role])}, give at most that many")
     roles = {**graph.roles, **{role: graph.roles[role][:number] for role, number in kept.items()}}
     used = replace(graph, roles=roles)
     sites = {bay: net.bay_sites[bay] for bay in used.bays if bay in net.bay_sites}

@@ -45,7 +45,9 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, field_validator, model_validator
 
+from sumo_nets.fields import fields_of, locate
 from sumo_nets.graph import Role
+from sumo_nets.wording import one_of
 
 Side = Literal["north", "east", "south", "west", "here"]
 
@@ -315,12 +317,9 @@ def first_error(err: ValidationError, model: type[BaseModel]) -> str:
     """One line for the first thing that is wrong with a model: field, value, what would be valid."""
     # a misspelt key is also a missing one: the misspelling says more
     first = min(err.errors(include_url=False), key=lambda error: error["type"] != "extra_forbidden")
-    field = ""
-    for part in first["loc"]:
-        field += f"[{part}]" if isinstance(part, int) else f".{part}" if field else part
-    known = ", ".join(model.model_fields)
+    field, owner = locate(model, first["loc"])
     if first["type"] == "extra_forbidden":
-        return f"{field}: unknown key" + (f"; valid are {known}" if len(first["loc"]) == 1 else "")
+        return f"{field}: unknown key" + (f"; {one_of(fields_of(owner), first['loc'][-1])}" if owner else "")
     if first["type"] == "missing":
         return f"{field}: missing; give a value"
     message = first["msg"].removeprefix("Value error, ")

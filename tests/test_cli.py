@@ -49,7 +49,10 @@ def words(text: str) -> list[str]:
 
 #: command line -> what its one line must say
 MISTAKES: list[tuple[str, str]] = [
-    ("runn", "No such command"),
+    ("runn", "No such command 'runn'. Did you mean 'run'"),
+    ("simulate-it", "No such command 'simulate-it': give one of "),
+    ("reproduce nothing", "No such command 'nothing': give one of thesis, "),
+    ("reproduce", "Missing command: give one of thesis, "),
     ("run map1 --out a,b", "SUMO reads a comma as the end of a path"),
     ("run map1 --out 50%", "SUMO reads a per cent sign"),
     ("run map1 --out a\\b", "DuckDB reads a backslash"),

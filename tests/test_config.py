@@ -156,11 +156,11 @@ def test_every_property_of_an_agv_can_be_set_and_has_the_plants_default() -> Non
 
 
 def models_of(model: type[BaseModel], seen: set[type[BaseModel]]) -> set[type[BaseModel]]:
-    from parking_sim.config import _models_in
+    from sumo_nets.fields import models_in
 
     seen.add(model)
     for field in model.model_fields.values():
-        for inner in _models_in(field.annotation):
+        for inner in models_in(field.annotation):
             if inner not in seen:
                 models_of(inner, seen)
     return seen

@@ -243,8 +243,14 @@ def test_faults_do_not_depend_on_each_other_or_on_the_controller():
         ({"script": [{"at_s": 1, "kind": "stop", "for_s": 1}]}, "stop needs agv"),
         ({"script": [{"at_s": 1, "kind": "bay", "for_s": 1}]}, "bay needs place"),
         ({"script": [{"at_s": 1, "kind": "stop", "for_s": 1, "agv": 4}]}, "0 to 3"),
-        ({"script": [{"at_s": 1, "kind": "blocked", "for_s": 1, "place": "x"}]}, "no such vertex"),
-        ({"script": [{"at_s": 1, "kind": "bay", "for_s": 1, "place": "c7_5"}]}, "is no bay"),
+        (
+            {"script": [{"at_s": 1, "kind": "blocked", "for_s": 1, "place": "c7_55"}]},
+            "no such vertex; give one of .* c7_5",
+        ),
+        (
+            {"script": [{"at_s": 1, "kind": "bay", "for_s": 1, "place": "c7_5"}]},
+            "map1 has no such bay; give one of bay2_3w, bay2_6w",
+        ),
     ],
 )
 def test_what_cannot_go_wrong_is_said_in_one_line(tmp_path, faults, words):

@@ -182,7 +182,7 @@ def test_rectangles_cover_a_picture_exactly(dark: NDArray[np.bool_]) -> None:
 # --- mistakes --------------------------------------------------------------------------------------------------------
 
 MISTAKES: list[tuple[dict[str, str], str]] = [
-    ({"name": "nam: room"}, "room.yaml: nam: unknown key; valid are name, pitch_m"),
+    ({"name": "nam: room"}, "room.yaml: nam: unknown key; give one of name, pitch_m"),
     ({"slots": ""}, "slots: missing"),
     ({"bays": "bays: []"}, "bays"),
     ({"pitch_m": "pitch_m: 3"}, "pitch_m: 3 is not valid"),

@@ -14,6 +14,7 @@ from typing import Any
 from controller.types import Motion, Planner, PlanningProblem, PlanResult
 from controller.types import Path as AgvPath
 from sumo_nets.graph import Graph
+from sumo_nets.wording import one_of
 
 #: Installed packages offer planners of their own as entry points of this group.
 ENTRY_POINTS = "parking_sim.planners"
@@ -101,7 +102,7 @@ def load_planner(name: str, graph: Graph, motion: Motion, options: Mapping[str, 
     if name not in PLANNERS:
         for entry in entry_points(group=ENTRY_POINTS, name=name):
             return OwnPlanner(name, entry.load())
-        raise ValueError(f"{name!r}: no such planner; give one of {', '.join(PLANNERS)}, or file.py:function")
+        raise ValueError(f"{name!r}: no such planner; {one_of(PLANNERS)}, or file.py:function")
     module_name, factory, options_name = PLANNERS[name]
     module = importlib.import_module(module_name)
     made: Planner = getattr(module, factory)(graph, motion, _options(name, module, options_name, options))
@@ -132,5 +133,8 @@ def _own(name: str) -> Planner:
     except Exception as error:
         raise ValueError(f"{name!r}: {path} can't be imported: {type(error).__name__}: {error}") from None
     if not callable(getattr(module, function, None)):
-        raise ValueError(f"{name!r}: {path} has no function {function}")
+        functions = [
+            key for key, value in vars(module).items() if callable(value) and value.__module__ == module.__name__
+        ]
+        raise ValueError(f"{name!r}: {path} has no function {function!r}; {one_of(functions)}")
     return OwnPlanner(name, getattr(module, function))
