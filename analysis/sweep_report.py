@@ -160,9 +160,9 @@ def _headlines(runs: Runs, variants: Sequence[Measured], frame: pd.DataFrame) ->
     return lines
 
 
-def _away(variant: Variant) -> str:
+def _away(measured: Measured) -> str:
     """A sentence on the customers whom a variant turned away, empty if there are none."""
-    share = variant.means["turned_away_share"].mean
+    share = measured.means["turned_away_share"].mean
     return f" {percent(share)} of its customers were turned away." if share > 0 else ""
 
 

@@ -254,7 +254,9 @@ def _sizing_rows(sizing: Sizing) -> list[dict[str, str]]:
         {
             SIZED[sizing.what]: str(tried.number),
             f"{what}, {target.unit}": target.shown(tried.mean.mean),
-            "95 % interval": f"{target.shown(tried.mean.low)} .. {target.shown(tried.mean.high)}",
+            "95 % interval": f"{target.shown(tried.mean.low)} .. {target.shown(tried.mean.high)}"
+            if math.isfinite(tried.mean.mean)
+            else "–",
             "turned away": f"{sizing.away[tried.number].number} of {sizing.away[tried.number].came}",
             "seeds": str(len(tried.values)),
             "meets it": "yes" if tried.meets else "no",
