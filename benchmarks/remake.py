@@ -116,14 +116,14 @@ def _made(run: Callable[[Row], Row], todo: Sequence[Row], workers: int) -> Itera
 
 
 def _commit() -> str:
-    """The commit that is checked out, with a + if files differ from it."""
-    found = subprocess.run(
-        ["git", "describe", "--always", "--abbrev=7", "--dirty=+", "--exclude=*"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-    )
-    return found.stdout.strip() or "unknown"
+    """The commit that is checked out, with a + if what runs differs from it: all files but results and documents."""
+    head = _git("rev-parse", "--short=7", "HEAD")
+    changed = _git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!benchmarks/results", ":!*.md")
+    return f"{head or 'unknown'}{'+' if changed else ''}"
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def _write(rows: pd.DataFrame, path: Path) -> None:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from parking_sim.errors import InputError
-
-if TYPE_CHECKING:
-    from demand.gate_logs.log import GateLog
 
 Log = Annotated[Path, typer.Argument(help="A gate log: a header, then a row a movement with time, in or out, plate.")]
 Columns = Annotated[str, typer.Option(help="Names of columns, such as time=Zeitpunkt,event=Richtung,car=Kennzeichen.")]
@@ -56,6 +54,8 @@ def fit_profile(
     except OSError as error:
         raise InputError(f"--out: {out}: can't be written: {error.strerror}") from None
     _print_lines([*part.notes, *basis(part, days)])
+    if len(part.covered) > 1:
+        print("outages are left out; --keep-gaps counts them as no demand")
     print(f"{out}: {fitted.words}; {fitted.arrivals_between(0, 24):.2f} cars a day for each slot")
 
 
@@ -72,31 +72,25 @@ def requests(
     zone: Zone = "",
 ) -> None:
     """Turn a gate log into the requests that replay it, car by car."""
+    from demand.gate_logs.coverage import in_words
     from demand.gate_logs.dialect import parse_dialect
     from demand.gate_logs.log import cut, read_gate_log, window
-    from demand.gate_logs.requests import requests_csv
+    from demand.gate_logs.requests import COLUMNS, requests_of
 
     if out.suffix != ".csv":
         raise InputError(f"--out: {out}: give a file name that ends with .csv")
     stretch = window(date, begin, end)
     part = cut(read_gate_log(log, parse_dialect(columns, events, dates, zone)), *stretch)
-    text = requests_csv(part, initial)
+    rows = requests_of(part, initial)
     try:
-        out.write_text(text, encoding="utf-8")
+        out.write_text("".join(",".join(row) + "\n" for row in (COLUMNS, *rows)), encoding="utf-8")
     except OSError as error:
         raise InputError(f"--out: {out}: can't be written: {error.strerror}") from None
     _print_lines(part.notes)
-    print(f"{out}: {_counts(part, text)}")
+    kinds = Counter(kind for _, kind, _ in rows)
+    words = f"{kinds['inside']} cars inside at the start, {kinds['park']} come, {kinds['retrieve']} leave"
+    print(f"{out}: {in_words((part.covered[0][0], part.covered[-1][1]), part.first_day)}: {words}")
     print(f"in a scenario: workload: {{kind: csv, path: {out.name}}}")
-
-
-def _counts(part: GateLog, text: str) -> str:
-    from demand.csv_file import INSIDE
-    from demand.gate_logs.coverage import in_words
-
-    came, left = int((part.steps > 0).sum()), int((part.steps < 0).sum())
-    when = in_words((part.covered[0][0], part.covered[-1][1]), part.first_day)
-    return f"{when}: {text.count(f',{INSIDE},')} cars inside at the start, {came} come, {left} leave"
 
 
 def _print_lines(lines: Sequence[str]) -> None:

@@ -23,7 +23,7 @@ from demand.gate_logs.dialect import Dialect, parse_dialect
 from demand.gate_logs.fit import basis, fit_profile
 from demand.gate_logs.log import GateLog, cut, read_gate_log, window
 from demand.gate_logs.mending import mend
-from demand.gate_logs.requests import requests_csv
+from demand.gate_logs.requests import requests_of
 from demand.profile_traffic import ProfileTraffic
 from demand.profiles import PROFILES
 from demand.types import Demand
@@ -418,24 +418,26 @@ def test_a_log_that_does_not_fit_its_garage(tmp_path: Path) -> None:
 
 def test_a_logged_day_is_replayed_car_by_car(tmp_path: Path) -> None:
     log = cut(log_of(tmp_path, DIALECTS["iso"][0]), *window("2024-05-13", "09:00", None))
-    text = requests_csv(log)
-    assert text.splitlines() == [
-        "time_s,kind,car",
-        "0,inside,HH-AB-12",
-        "2400,park,MÜ-C-3",
-        "10800,retrieve,HH-AB-12",
-        "16200,park,B-X-7",
+    assert requests_of(log) == [
+        ("0", "inside", "HH-AB-12"),
+        ("2400", "park", "MÜ-C-3"),
+        ("10800", "retrieve", "HH-AB-12"),
+        ("16200", "park", "B-X-7"),
     ]
-    later = requests_csv(cut(log_of(tmp_path, DIALECTS["iso"][0]), *window("2024-05-14", None, None)))
-    assert later.splitlines()[1:3] == ["0,inside,MÜ-C-3", "0,inside,B-X-7"]
+    later = cut(log_of(tmp_path, DIALECTS["iso"][0]), *window("2024-05-14", None, None))
+    assert requests_of(later)[:2] == [("0", "inside", "MÜ-C-3"), ("0", "inside", "B-X-7")]
+    assert later.notes[-1] == "note: by its movements the log covers 2024-05-13 06:30 to 2024-05-14 01:40 only"
 
 
 def test_cars_without_plates_leave_in_the_order_in_which_they_came(tmp_path: Path) -> None:
     text = "time,event\n2024-05-04 10:00,out\n2024-05-04 10:30,in\n2024-05-04 11:00,in\n2024-05-04 12:00,out\n"
-    rows = [line.split(",")[1:] for line in requests_csv(log_of(tmp_path, text), 3).splitlines()[1:]]
-    inside = [car for kind, car in rows if kind == "inside"]
+    log = log_of(tmp_path, text)
+    rows = requests_of(log, 3)
+    inside = [car for _, kind, car in rows if kind == "inside"]
     assert len(inside) == 3
-    assert [car for kind, car in rows if kind == "retrieve"] == inside[:2]
+    assert [car for _, kind, car in rows if kind == "retrieve"] == inside[:2]
+    with pytest.raises(InputError, match="--initial: 0: at least 1 cars"):
+        requests_of(log, 0)
 
 
 @pytest.mark.parametrize(

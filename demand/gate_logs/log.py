@@ -95,8 +95,7 @@ def read_gate_log(path: Path, dialect: Dialect | None = None, keep_gaps: bool = 
         key=lambda row: row[0],  # stable: a car's movements keep their order
     )
     gaps = tuple(
-        f"outage: {in_words(hole, first_day)}, {hole[1] - hole[0]:.1f} h without a movement where the other days have"
-        " many: left out; --keep-gaps counts it as no demand"
+        f"outage: {in_words(hole, first_day)}, {hole[1] - hole[0]:.1f} h without a movement; the other days have many"
         for hole in holes
     )
     return GateLog(
@@ -127,9 +126,10 @@ def cut(log: GateLog, begin: datetime | None, end: datetime | None) -> GateLog:
     first = _hour(begin, log) if begin else log.covered[0][0]
     last = _hour(end, log) if end else log.covered[-1][1]
     within = (log.hours >= first) & (log.hours < last)
+    whole = in_words((log.covered[0][0], log.covered[-1][1]), log.first_day)
     if not within.any():
-        whole = in_words((log.covered[0][0], log.covered[-1][1]), log.first_day)
         raise InputError(f"--from, --to: no movement in this time; the log covers {whole}")
+    beyond = first < log.covered[0][0] - 1 or last > log.covered[-1][1] + 1
     holes = [(a[1], b[0]) for a, b in zip(log.covered, log.covered[1:], strict=False)]
     kept = [(max(a, first), min(b, last)) for a, b in holes if a < last and b > first]
     shift = 24 * (first // 24)
@@ -148,6 +148,7 @@ def cut(log: GateLog, begin: datetime | None, end: datetime | None) -> GateLog:
         cars=tuple(car for car, there in zip(log.cars, within.tolist(), strict=True) if there),
         inside=tuple(inside),
         covered=tuple((a - shift, b - shift) for a, b in without((first, last), kept)),
+        notes=(*log.notes, f"note: by its movements the log covers {whole} only") if beyond else log.notes,
     )
 
 

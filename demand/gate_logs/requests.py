@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections import deque
+
+import numpy as np
 
 from controller.types import RequestKind
 from demand.csv_file import INSIDE
 from demand.gate_logs.log import GateLog
 from demand.types import car_names
+from parking_sim.errors import InputError
+
+COLUMNS = ("time_s", "kind", "car")
 
 
-def requests_csv(log: GateLog, initial: int | None = None) -> str:
+def requests_of(log: GateLog, initial: int | None = None) -> list[tuple[str, str, str]]:
     """Each movement as a request, in seconds from the log's begin.
 
     A car that leaves is taken to be asked for when it left: the log doesn't say how long its customer waited. Cars
@@ -24,25 +27,31 @@ def requests_csv(log: GateLog, initial: int | None = None) -> str:
         initial: cars inside when it begins; default: as few as the log allows.
 
     Returns:
-        The file's text: first the cars inside, then the requests in order.
+        Rows of ``COLUMNS``: first the cars inside, then the requests in order.
+
+    Raises:
+        InputError: more cars leave than can have been there.
     """
+    least = log.least_inside()
+    if initial is not None and initial < least:
+        raise InputError(f"--initial: {initial}: at least {least} cars were there before the first movement")
     begin = log.covered[0][0]
     names = _Names()
-    unread = max(0, (log.least_inside() if initial is None else initial) - len(log.inside))
+    unread = (least if initial is None else initial) - len(log.inside)
     nameless = deque(names.of(name) for name in car_names("inside", unread))
-    rows = [("0", INSIDE, name) for name in (*(names.of(car) for car in log.inside), *nameless)]
-    for number, (hour, step, car) in enumerate(zip(log.hours, log.steps, log.cars, strict=True), 1):
-        kind = RequestKind.PARK if step > 0 else RequestKind.RETRIEVE
+    rows = [("0", INSIDE, name) for name in (*map(names.of, log.inside), *nameless)]
+    order = np.lexsort((-log.steps * np.array([not car for car in log.cars]), log.hours))
+    for place in order.tolist():
+        came, car = log.steps[place] > 0, log.cars[place]
         if car:
             name = names.of(car)
-        elif step > 0:
-            nameless.append(name := names.of(f"unread{number}"))
+        elif came:
+            nameless.append(name := names.of(f"unread{place + 1}"))
         else:
             name = nameless.popleft()
-        rows.append((f"{3600 * (hour - begin):.0f}", kind.value, name))
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([("time_s", "kind", "car"), *rows])
-    return text.getvalue()
+        kind = RequestKind.PARK if came else RequestKind.RETRIEVE
+        rows.append((f"{3600 * (log.hours[place] - begin):.0f}", kind.value, name))
+    return rows
 
 
 class _Names:
