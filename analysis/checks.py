@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from analysis.witness import WITNESSES
+
 if TYPE_CHECKING:
     from analysis.metrics import Metrics
 
@@ -17,6 +19,8 @@ RULES: Mapping[str, tuple[str, int]] = {
     "Every deadlock was resolved": ("deadlocks_unresolved", 0),
     "Every request is accounted for": ("requests_conserved", 1),
     "Every car is accounted for": ("cars_conserved", 1),
+    "SUMO saw customers at bays where and when the record says": ("customers_witnessed_share", 1),
+    "SUMO saw AGVs lift and lower cars where and when the record says": ("agvs_witnessed_share", 1),
 }
 _CARS = ("arrived", "parked", "left", "in_transit")
 
@@ -74,7 +78,16 @@ def _figures(meta: Mapping[str, Any], metrics: Metrics) -> dict[str, str]:
         "deadlocks_unresolved": f"{metrics['deadlocks_found']} found, {metrics['deadlocks_unresolved']} unresolved",
         "requests_conserved": f"{metrics['requests']} requests",
         "cars_conserved": "; ".join(map(str, meta.get("audit") or ())) or cars,
+        **{f"{name}_witnessed_share": _testimony((meta.get("witnesses") or {}).get(name)) for name in WITNESSES},
     }
+
+
+def _testimony(testimony: Mapping[str, Any] | None) -> str:
+    """What a witness saw, and the first contradiction."""
+    if not testimony or not testimony["facts"]:
+        return "not witnessed: SUMO wrote nothing of it"
+    confirmed = f"{testimony['facts'] - testimony['wrong']:,} of {testimony['facts']:,}"
+    return f"{confirmed}; {testimony['words'][0]}" if testimony["words"] else confirmed
 
 
 def _shown(value: float) -> str:

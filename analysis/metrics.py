@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.tables import Run, load_run
 from analysis.turned_away import turned_away
+from analysis.witness import WITNESSES
 from parking_sim.record import NAN, write_json
 
 if TYPE_CHECKING:
@@ -98,6 +99,8 @@ METRICS: Mapping[str, tuple[str, str]] = {
     "footprint_overlaps": ("", "overlaps the independent footprint check saw"),
     "turns_under_cars": ("", "turns of an empty AGV under a parked car, in slots too short to drive straight out of"),
     "least_clearance_m": ("m", "least distance between two bodies"),
+    "customers_witnessed_share": ("", "share of customers' stays at bays that SUMO's outputs confirm"),
+    "agvs_witnessed_share": ("", "share of the lifting and lowering of cars that SUMO's outputs confirm"),
     "steps": ("steps", "planning steps simulated"),
     "throughput": ("tasks/step", "tasks done per planning step (thesis)"),
     "movement_cost": ("edges", "edges driven, cells on a grid (thesis)"),
@@ -326,7 +329,16 @@ def _deadlocks(run: Run) -> Metrics:
 
 def _safety(run: Run) -> Metrics:
     keys = ("sumo_collisions", "footprint_overlaps", "turns_under_cars", "least_clearance_m")
-    return {key: _number(run, key) for key in keys}
+    witnesses = run.meta.get("witnesses") or {}
+    return {
+        **{key: _number(run, key) for key in keys},
+        **{f"{name}_witnessed_share": _confirmed(witnesses.get(name)) for name in WITNESSES},
+    }
+
+
+def _confirmed(testimony: Mapping[str, Any] | None) -> float:
+    """Share of a witness's facts that it confirms; NaN if it saw none."""
+    return _ratio(testimony["facts"] - testimony["wrong"], testimony["facts"]) if testimony else NAN
 
 
 def _thesis(run: Run) -> Metrics:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import math
-import re
 from pathlib import Path
 from typing import Literal
 
@@ -22,8 +21,8 @@ _COLUMNS = (*_NEEDED, "zone")
 #: Kind of a row that is no request: its car is parked already when the run starts.
 INSIDE = "inside"
 
-#: Names that SUMO takes as vehicle ids.
-_NAME = re.compile(r"[\w.+-]+")
+#: What a car's name is told to be when it is refused.
+_NAMES = "give at least one character, and no line breaks or other control characters"
 
 
 class Csv(Workload):
@@ -36,10 +35,10 @@ class Csv(Workload):
     def demand(self, slots: int, seed: int, base_dir: Path) -> Demand:
         """Requests of this profile, see :meth:`Workload.demand`."""
         for car in self.initial_cars:
-            if not _NAME.fullmatch(car) or self.initial_cars.count(car) > 1:
-                raise InputError(
-                    f"workload.initial_cars: {car!r}: name each car once, with letters, digits and any of _ . + -"
-                )
+            if not _is_name(car):
+                raise InputError(f"workload.initial_cars: {car!r}: {_NAMES}")
+            if self.initial_cars.count(car) > 1:
+                raise InputError(f"workload.initial_cars: {car!r}: name each car once")
         inside, rows = _read(base_dir / self.path)
         initial = (*self.initial_cars, *inside)
         if repeated := next((car for car in initial if initial.count(car) > 1), ""):
@@ -55,6 +54,10 @@ class Csv(Workload):
     def files(self, base_dir: Path) -> tuple[Path, ...]:
         """The file with the requests."""
         return (base_dir / self.path,)
+
+
+def _is_name(car: str) -> bool:
+    return bool(car.strip()) and car.isprintable()
 
 
 def _read(path: Path) -> tuple[tuple[str, ...], list[tuple[int, Request]]]:
@@ -100,8 +103,8 @@ def _row(header: list[str], cells: list[str], number: int, path: Path) -> dict[s
         raise InputError(
             f"{where}: kind: {row['kind']!r}: give park or retrieve, or inside for a car there at the start"
         )
-    if not _NAME.fullmatch(row["car"]):
-        raise InputError(f"{where}: car: {row['car']!r}: give a name of letters, digits and any of _ . + -")
+    if not _is_name(row["car"]):
+        raise InputError(f"{where}: car: {row['car']!r}: {_NAMES}")
     return row
 
 

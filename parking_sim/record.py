@@ -197,6 +197,7 @@ META: Mapping[str, tuple[str, str]] = {
     "versions": ("", "name -> version of program, Python, SUMO and libraries"),
     "map": ("", "name of the layout"),
     "step_s": ("s", "simulated seconds a planning step lasts"),
+    "sumo_start_s": ("s", "SUMO's clock when the run's began: the AGVs stand by then; null without SUMO"),
     "simulated_s": ("s", "simulated seconds"),
     "tasks_wanted": ("tasks", "tasks the scenario asks for"),
     "sumo_collisions": ("", "collisions SUMO reported"),
@@ -209,6 +210,7 @@ META: Mapping[str, tuple[str, str]] = {
     "cars_left": ("cars", "cars that have left"),
     "cars_in_transit": ("cars", "cars in the street, at bays and on AGVs at the end"),
     "wall_s": ("s", "wall-clock seconds: total, and its parts by name"),
+    "witnesses": ("", "witness -> facts compared with SUMO's outputs, how many are wrong, and the first in words"),
     "audit": ("", "what the garage's own count of cars found wrong, in words; empty if nothing"),
     "digest": ("", "table -> SHA-256 of its rows without wall-clock columns; added by the recorder"),
 }

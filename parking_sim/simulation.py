@@ -151,6 +151,7 @@ class _Run:
         """The plant, closed at the end whatever happens."""
         self._start = perf_counter()
         plant = self.world.plant(outputs, gui, fcd)
+        self._plant_start_s = plant.time_s
         self.plant = self.world.with_faults(plant)
         self._sumo: Any = plant if self.world.scenario.plant == "sumo" else None
         if self._sumo is not None:
@@ -374,10 +375,12 @@ class _Run:
         from analysis.checks import failed_checks, run_checks
         from analysis.metrics import run_metrics, write_metrics
         from analysis.tables import recorded_run
+        from analysis.witness import witnesses
 
         if out is None:
             metrics = run_metrics(recorded_run(self.recorder, meta))
         else:
+            meta["witnesses"] = witnesses(recorded_run(self.recorder, meta), out)
             self.recorder.write(out, meta)
             if self.journal is not None:
                 self.journal.close(finished=True)
@@ -412,6 +415,7 @@ class _Run:
             "versions": versions(),
             "map": self.world.net.name,
             "step_s": self.step_s,
+            "sumo_start_s": self._plant_start_s if self._sumo is not None else None,
             "simulated_s": self.now_s,
             "tasks_wanted": self.world.demand.total,
             "sumo_collisions": self._sumo.collisions if self._sumo is not None else 0,

@@ -131,6 +131,8 @@ def test_incidents_and_failed_checks_are_told() -> None:
         "Every customer let in was served": False,
         "Every request is accounted for": False,
         "Every car is accounted for": None,
+        "SUMO saw customers at bays where and when the record says": None,
+        "SUMO saw AGVs lift and lower cars where and when the record says": None,
     }
     assert failed_checks(run_checks(run.meta, run_metrics(run))) == (
         "No overlap seen by the independent check: no (1 overlaps)",

@@ -247,7 +247,7 @@ HEAD = "time_s,kind,car\n"
         (HEAD + "inf,park,a\n", "row 2: time_s: 'inf'"),
         (HEAD + "0,parking,a\n", "row 2: kind: 'parking': give park or retrieve"),
         (HEAD + "0,park,\n", "row 2: car: ''"),
-        (HEAD + "0,park,my car\n", "row 2: car: 'my car'"),
+        (HEAD + "0,park,my\tcar\n", r"row 2: car: 'my\tcar'"),
         (HEAD + "\n0,park\n", "row 3: 2 cells: give 3"),
         (HEAD + "0,park,a,b\n", "row 2: 4 cells: give 3"),
         (HEAD + "0,park,a\n5,retrieve,b\n", "row 3: car: 'b': never came"),
@@ -274,7 +274,7 @@ def test_a_file_that_is_absent_or_not_text(tmp_path: Path) -> None:
         make_demand(Csv(path="log.csv"), SLOTS, 0, tmp_path)
 
 
-@pytest.mark.parametrize("cars", [("a", "a"), ("my car",), tuple(car_names("x", SLOTS + 1))])
+@pytest.mark.parametrize("cars", [("a", "a"), ("my\tcar",), (" ",), tuple(car_names("x", SLOTS + 1))])
 def test_bad_initial_cars(tmp_path: Path, cars: tuple[str, ...]) -> None:
     with pytest.raises(InputError, match=r"workload\.initial_cars: "):
         read(tmp_path, HEAD, initial_cars=cars)
