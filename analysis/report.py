@@ -17,6 +17,7 @@ from analysis.figures import figures, words
 from analysis.metrics import METRICS, Metrics, run_metrics
 from analysis.tables import Run, load_run
 from analysis.turned_away import turned_away, turned_away_words
+from parking_sim.folders import INPUTS
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -304,10 +305,11 @@ def _shown(value: object) -> str:
 def _files(folder: Path) -> list[tuple[str, str, str]]:
     """Name, size and SHA-256 of the run's files but its pages."""
     rows = []
-    for path in sorted(folder.iterdir()):
+    for path in sorted([*folder.iterdir(), *(folder / INPUTS).glob("*")]):
         if path.is_file() and path.suffix != ".html":
+            name = path.relative_to(folder).as_posix()
             with path.open("rb") as file:
-                rows.append((path.name, f"{path.stat().st_size:,}", hashlib.file_digest(file, "sha256").hexdigest()))
+                rows.append((name, f"{path.stat().st_size:,}", hashlib.file_digest(file, "sha256").hexdigest()))
     return rows
 
 

@@ -55,7 +55,7 @@ class Runs:
     @cached_property
     def variants(self) -> Mapping[str, Variant]:
         """Each run's variant: its sweep's, or made of the keys in which the scenarios differ."""
-        return self.planned or by_scenario({run: _what_decides(meta) for run, meta in self._metas.items()})
+        return self.planned or by_scenario(_what_decides(self._metas))
 
     @property
     def varied(self) -> tuple[str, ...]:
@@ -199,9 +199,16 @@ def _runs_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     return frame.astype(dict.fromkeys(METRICS, float))
 
 
-def _what_decides(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """What decides a run's outcome besides the seed."""
-    return {key: value for key, value in (meta.get("scenario") or {}).items() if key != "seed"}
+def _what_decides(metas: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Each run's scenario without its seed; with hashes of its files where files changed under the same names."""
+    scenarios = {run: {**(meta.get("scenario") or {}), "seed": None} for run, meta in metas.items()}
+    hashes = {
+        run: {name: digest[:8] for name, digest in (meta.get("inputs") or {}).items()} for run, meta in metas.items()
+    }
+    read = {json.dumps([scenarios[run], hashes[run]], sort_keys=True) for run in metas}
+    if len(read) > len({json.dumps(scenario, sort_keys=True) for scenario in scenarios.values()}):
+        return {run: {**scenario, "inputs": hashes[run]} for run, scenario in scenarios.items()}
+    return scenarios
 
 
 def _over(files: Mapping[str, Path]) -> str:

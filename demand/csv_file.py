@@ -51,9 +51,10 @@ class Csv(Workload):
         _check_order(rows, set(initial), self.path)
         return Demand(initial, (tuple(request for _, request in rows),))
 
-    def files(self, base_dir: Path) -> tuple[Path, ...]:
-        """The file with the requests."""
-        return (base_dir / self.path,)
+    @property
+    def file_key(self) -> str:
+        """The requests' file."""
+        return "path"
 
 
 def _is_name(car: str) -> bool:

@@ -55,9 +55,10 @@ class ProfileTraffic(Workload):
         stays = Stays(initial, 3600 * (np.concatenate((there, arrive)) - begin), 3600 * (leave - begin))
         return demand_of(stays, 3600 * (end - begin))
 
-    def files(self, base_dir: Path) -> tuple[Path, ...]:
+    @property
+    def file_key(self) -> str:
         """The profile's file, if it has one."""
-        return () if self.name in PROFILES else (base_dir / self.name,)
+        return "" if self.name in PROFILES else "name"
 
     def _stretch(self, profile: Profile) -> tuple[float, float]:
         """First and last hour of the run."""

@@ -54,16 +54,10 @@ class Workload(BaseModel, ABC):
             InputError: the options don't fit the garage, or a file they name is bad.
         """
 
-    def files(self, base_dir: Path) -> tuple[Path, ...]:
-        """The files that the demand is read from.
-
-        Args:
-            base_dir: folder from which relative paths in the options count.
-
-        Returns:
-            Their paths; most profiles have none.
-        """
-        return ()
+    @property
+    def file_key(self) -> str:
+        """The key that names the file from which the demand is read; "" if there is none."""
+        return ""
 
 
 def stream(seed: int, name: str) -> np.random.Generator:

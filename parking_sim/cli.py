@@ -168,6 +168,26 @@ def resume(
     raise typer.Exit(_verdict(summary, loaded.duration_s is not None))
 
 
+@app.command("rerun")
+def rerun_(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for the new record; default: none is kept.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but differences and errors.")] = False,
+) -> None:
+    """Run a record's scenario again, from the files in its folder, and compare the two records table by table."""
+    from parking_sim.rerun import rerun
+
+    if out is not None:
+        check_folder(out, force=False)
+    with _progress_bar(folder.name, quiet) as progress:
+        found = rerun(folder, out, progress)
+    for line in (*found.notes, *found.differences):
+        print(line)
+    if not found.differences and not quiet:
+        print("the same record came out")
+    raise typer.Exit(UNFINISHED if found.differences else 0)
+
+
 @app.command()
 def demo(
     out: Annotated[Path | None, typer.Option(help="Folder for records and report; default: runs/demo, anew.")] = None,

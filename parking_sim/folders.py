@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from parking_sim.errors import InputError
 RUN_FILE = "run.json"
 #: A folder that holds this one holds a run that has not ended, see ``parking_sim.journal``.
 JOURNAL = "journal.jsonl"
+#: Folder within a run's, or a sweep's, for copies of the user's own files that it reads.
+INPUTS = "inputs"
 
 #: What is not written to a folder with these in its name, and why.
 _UNREADABLE = {
@@ -66,13 +69,14 @@ def clear_run(folder: Path) -> None:
     """Remove an earlier run's files, so that none of them is taken for the new run's.
 
     Args:
-        folder: a run's folder. One that is absent or holds no run is left as it is, and so are folders within and files
-            of kinds that a run doesn't write.
+        folder: a run's folder. One that is absent or holds no run is left as it is, and so are folders within but that
+            of the inputs, and files of kinds that a run doesn't write.
     """
     if (folder / RUN_FILE).is_file() or (folder / JOURNAL).is_file():
         for path in (folder / RUN_FILE, *folder.iterdir()):
             if path.is_file() and path.suffix in _SUFFIXES:
                 path.unlink(missing_ok=True)
+        shutil.rmtree(folder / INPUTS, ignore_errors=True)
 
 
 def _try_writing(folder: Path) -> None:

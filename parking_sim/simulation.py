@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -19,10 +17,11 @@ from controller.types import NO_AGV, Action, Advance, AgvMode, AgvNumber, Reques
 from parking_sim.assembly import World, assemble
 from parking_sim.config import Scenario
 from parking_sim.folders import clear_run
+from parking_sim.inputs import Inputs, kept_net, read_inputs, write_inputs
 from parking_sim.journal import FLUSH_S, Journal
 from parking_sim.plants import CarAtBay
 from parking_sim.record import AgvRow, Recorder, TaskRow
-from parking_sim.scenario_file import write_scenario
+from parking_sim.versions import code_version, versions
 from sumo_nets.numbering import NO_VERTEX, Numbered, NumberedList, Vertex, numbered
 
 if TYPE_CHECKING:
@@ -73,6 +72,7 @@ def simulate(
     fcd: bool = False,
     progress: Callable[[Progress], None] | None = None,
     resumed: bool = False,
+    shared: Path | None = None,
 ) -> Summary:
     """Run a scenario.
 
@@ -83,6 +83,7 @@ def simulate(
         fcd: write SUMO's floating car data as well.
         progress: called a few times a second.
         resumed: ``out`` holds the journal of this run, which was killed; see ``parking_sim.journal``.
+        shared: folder for files that many runs read, see ``parking_sim.inputs``.
 
     Returns:
         How it ended. Ctrl-C ends the run early with the record so far.
@@ -95,10 +96,13 @@ def simulate(
     world = assemble(scenario)
     run = _Run(world, progress)
     if out is not None:
+        run.inputs = read_inputs(scenario)
         if not resumed:
             clear_run(out)
         out.mkdir(parents=True, exist_ok=True)
-        write_scenario(scenario, out / "scenario.yaml")
+        write_inputs(run.inputs, out, shared)
+        net_file, additional_file = kept_net(scenario, out)
+        run.world = replace(world, net=replace(world.net, net_file=net_file, additional_file=additional_file))
         run.journal = Journal(out, resumed)
     with run.started(out, gui, fcd or scenario.record.fcd):
         status = run.loop()
@@ -119,6 +123,7 @@ class _Run:
         self.step_s = world.motion.step_s
         self.names = world.net.graph.names
         self.journal: Journal | None = None
+        self.inputs: Inputs | None = None
         self._progress = progress
         self._told = 0.0
         self._phase = -1
@@ -410,9 +415,11 @@ class _Run:
         return {
             "status": status,
             "command": "parking-sim run scenario.yaml",
-            "scenario": scenario.model_dump(mode="json"),
+            "scenario": self.inputs.scenario if self.inputs else scenario.model_dump(mode="json"),
+            "inputs": self.inputs.digests if self.inputs else {},
             "seed": scenario.seed,
             "versions": versions(),
+            "code": code_version(),
             "map": self.world.net.name,
             "step_s": self.step_s,
             "sumo_start_s": self._plant_start_s if self._sumo is not None else None,
@@ -452,14 +459,3 @@ def _cramped_slots(graph: Graph, agv_m: float) -> frozenset[Vertex]:
     """Slots whose lane is too short for an AGV to drive straight out from under a car before it turns."""
     short = set(graph.head[graph.length_m < 2 * agv_m].tolist())
     return frozenset(slot for slot in graph.slots if slot in short)
-
-
-def versions() -> dict[str, str]:
-    """Versions of the program, Python and the libraries that decide a run's outcome."""
-    found = {"python": platform.python_version()}
-    for package in ("parking-sim", "libsumo", "numpy", "numba", "networkx"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "unknown"
-    return found

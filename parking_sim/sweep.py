@@ -2,7 +2,8 @@
 
 The folder of a sweep holds ``sweep.json`` (which runs belong to it), ``failures.json`` (which failed, and why) and
 ``runs/KEY/`` with the record of each run, whose key is a hash of its scenario, input files and code. A record appears
-whole or not at all, so that a sweep can be stopped or killed at any moment and started again.
+whole or not at all, so that a sweep can be stopped or killed at any moment and started again. Files of the user's own
+are kept once, in ``inputs/``, and linked to by the runs that read them.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from time import perf_counter
 
 from parking_sim.config import Scenario
 from parking_sim.errors import InputError, RunFailedError
-from parking_sim.folders import check_path
-from parking_sim.sweep_plan import RunSpec, code_version
+from parking_sim.folders import INPUTS, check_path
+from parking_sim.sweep_plan import RunSpec
+from parking_sim.versions import code_version
 
 SWEEP_FILE, FAILURES_FILE, RUNS_FOLDER = "sweep.json", "failures.json", "runs"
 
@@ -188,7 +190,7 @@ def do_run(scenario: Scenario, out: Path) -> None:
 
     Args:
         scenario: what to run.
-        out: folder of its record, which appears whole or not at all.
+        out: folder of its record within that of the sweep, see :func:`run_folder`; it appears whole or not at all.
 
     Raises:
         InputError: the scenario does not fit its garage.
@@ -197,7 +199,7 @@ def do_run(scenario: Scenario, out: Path) -> None:
     part = out.with_name(f"{out.name}{_PART}{socket.gethostname()}-{os.getpid()}")
     try:
         with _one_at_a_time:
-            error = _simulate(scenario, part)
+            error = _simulate(scenario, part, out.parent.parent / INPUTS)
         if error is not None:
             raise error
         if not out.exists():
@@ -206,13 +208,13 @@ def do_run(scenario: Scenario, out: Path) -> None:
         shutil.rmtree(part, ignore_errors=True)
 
 
-def _simulate(scenario: Scenario, folder: Path) -> Exception | None:
+def _simulate(scenario: Scenario, folder: Path, shared: Path) -> Exception | None:
     """Do a run; what went wrong is returned as text alone, for libsumo's exceptions don't travel between processes."""
     from parking_sim.simulation import simulate
     from sumo_nets.errors import NetError
 
     try:
-        status = simulate(scenario, folder).status
+        status = simulate(scenario, folder, shared=shared).status
     except (InputError, NetError) as error:
         return InputError(str(error))
     except Exception as error:

@@ -16,23 +16,17 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 from analysis.variants import NAME, Variant, label, tell_apart, variant_of
 from parking_sim.config import Scenario, check_scenario, read_yaml, scenario_keys
 from parking_sim.errors import InputError
+from parking_sim.inputs import read_inputs
+from parking_sim.versions import code_version
 
 _KEYS = ("base", "grid", "list", "seeds")
 _RANGE = re.compile(r"(\d+)(?:\.\.(\d+))?")
-
-#: Modules of ``parking_sim`` that start runs but take no part in them: a change there leaves finished runs valid.
-_AROUND_A_RUN = {
-    "cli", "demo", "doctor", "executors", "folders", "progress", "reproduce", "sizing", "studies", "sweep",
-    "sweep_plan", "tuning",
-}  # fmt: skip
-_OF_ANALYSIS = {"metrics", "parquet", "tables"}
 
 
 @dataclass(frozen=True)
@@ -135,28 +129,9 @@ def run_key(scenario: Scenario) -> str:
     Raises:
         InputError: a file that the scenario names can't be read.
     """
-    content = {
-        "scenario": scenario.model_dump(mode="json"),
-        "files": [_digest(path) for path in _input_files(scenario)],
-        "code": code_version(),
-    }
+    inputs = read_inputs(scenario)
+    content = {"scenario": inputs.scenario, "files": inputs.digests, "code": code_version()}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
-
-
-@cache
-def code_version() -> str:
-    """Hash of the sources that take part in a run and of the versions of the libraries that decide its outcome."""
-    from parking_sim.simulation import versions
-
-    root = Path(__file__).parent.parent
-    sources = [path for name in ("controller", "demand", "sumo_nets") for path in (root / name).rglob("*.py")]
-    own = root / "parking_sim"
-    sources += [p for p in own.rglob("*.py") if p.relative_to(own).parts[0].removesuffix(".py") not in _AROUND_A_RUN]
-    sources += [root / "analysis" / f"{name}.py" for name in _OF_ANALYSIS]
-    total = hashlib.sha256(json.dumps(versions(), sort_keys=True).encode())
-    for path in sorted(sources):
-        total.update(f"{path.relative_to(root).as_posix()}\0".encode() + path.read_bytes())
-    return total.hexdigest()[:16]
 
 
 def _base(given: object, path: Path) -> tuple[dict[str, object], Path]:
@@ -243,7 +218,7 @@ def _check_differ(variants: Sequence[Variant], scenarios: Sequence[Scenario], pa
     names: set[str] = set()
     name_of: dict[str, str] = {}
     for variant, scenario in zip(variants, scenarios, strict=True):
-        content = scenario.model_dump_json(exclude={"seed"})
+        content = run_key(scenario.model_copy(update={"seed": 0}))
         if content in name_of:
             raise InputError(
                 f"{path}: {name_of[content]!r} and {variant.name!r} are the same scenario; remove one of them"
@@ -279,19 +254,3 @@ def set_keys(base: Mapping[str, object], varied: Mapping[str, object], source: s
             inner = nested
         inner[last] = copy.deepcopy(value)
     return data
-
-
-def _input_files(scenario: Scenario) -> list[Path]:
-    """The files that a run reads besides the scenario: net, customers, a planner of the user's own."""
-    from sumo_nets.read import net_files
-
-    files = [*net_files(scenario.garage_source), *scenario.workload.files(scenario.base_dir)]
-    planner = Path(scenario.planner_source.rpartition(":")[0])
-    return [*files, planner] if planner.is_file() else files
-
-
-def _digest(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: can't be read: {error.strerror}") from None

@@ -22,6 +22,7 @@ from analysis.tables import load_run
 from analysis.variants import by_scenario, tell_apart, value_text
 from parking_sim.cli import main
 from parking_sim.errors import InputError
+from parking_sim.record import Recorder
 from parking_sim.sweep_plan import load_sweep
 
 GROUPS = st.recursive(
@@ -203,3 +204,11 @@ def test_colons_in_folders_and_names(tmp_path: Path) -> None:
     assert split_choice(f"{base}/a:b:x:y") == (f"{base}/a:b", "x:y")
     assert split_choice(f"{base}/a:c:d") == (f"{base}/a", "c:d")
     assert split_choice("nowhere:x") == ("nowhere", "x")
+
+
+def test_a_file_that_changed_under_its_name_is_another_variant(tmp_path: Path) -> None:
+    for folder, seed, digest in (("a", 1, "1" * 64), ("b", 2, "1" * 64), ("c", 1, "2" * 64)):
+        Recorder().write(tmp_path / folder, {"scenario": {"garage": "g", "seed": seed}, "inputs": {"g": digest}})
+    names = load_runs(tmp_path).runs.df().set_index("run")["variant"]
+    assert names["a"] == names["b"] == "inputs.g=11111111"
+    assert names["c"] == "inputs.g=22222222"
