@@ -29,7 +29,7 @@ import pandas as pd
 sys.path.insert(0, str(Path(__file__).parent))
 from figures import SETS, TABLES, Row, RunSet
 
-from parking_sim.sweep_plan import code_version
+from parking_sim.versions import code_version
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
