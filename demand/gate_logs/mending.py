@@ -7,7 +7,9 @@ in, out. Where they don't, the least is changed that makes them:
 * an exit right before an entry that both lack their other half is a pair the wrong way round;
 * an entry without an exit is given one a typical stay later, and an exit without an entry one a typical stay earlier,
   but no further than half the way to the car's neighbouring movement. If a movement without a plate may be the missing
-  one, the one next to that moment is taken.
+  one, the one next to that moment is taken;
+* where most movements have a plate, each other movement without one is a car's of its own, an entry with the next exit
+  if there is one within the longest stay.
 
 The typical stay is the median of the stays read in full. At the log's ends a car may have been there before or stay
 beyond; it is taken to, unless that would make its stay longer than the longest one read in full.
@@ -16,6 +18,7 @@ beyond; it is taken to, unless that would make its stay longer than the longest 
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -34,7 +37,7 @@ class Mended:
 
     Attributes:
         moves: car -> its movements in order.
-        unread: movements without a plate that were not matched to a car, in order.
+        unread: movements without a plate, in order, if most have none.
         notes: what was changed, in words.
     """
 
@@ -72,18 +75,23 @@ def mend(cars: Mapping[str, Sequence[Move]], unread: Sequence[Move], begin: floa
     pool = {step: [hour for hour, s in unread if s == step] for step in (1, -1)}
     mended = {car: _filled(moves, stays, pool) for car, moves in turned.items()}
     left = sorted((hour, step) for step, hours in pool.items() for hour in hours)
+    matched = len(unread) - len(left)
+    if len(unread) < sum(map(len, once.values())):
+        own = {f"unread {number}": moves for number, moves in enumerate(_visits(left, stays), 1)}
+        turned |= own
+        mended |= {car: _filled(moves, stays, {1: [], -1: []}) for car, moves in own.items()}
+        left = []
     twice = sum(map(len, cars.values())) - sum(map(len, once.values()))
     pairs = sum(a != b for car in once for a, b in zip(once[car], turned[car], strict=True)) // 2
-    exits, entries = (
-        _count(mended, step) - _count(turned, step) - sum(s == step for _, s in unread) + len(pool[step])
-        for step in (-1, 1)
-    )
+    added = {step: _count(mended, step) - _count(turned, step) for step in (-1, 1)}
+    for step, hours in pool.items():
+        added[step] -= sum(s == step for _, s in unread) - len(hours)  # those that were there, without a plate
     counts = {
         "movements read twice: counted once": twice,
         "pairs the wrong way round (out before in): turned": pairs,
-        "movements without a plate: matched to a car that lacks one": len(unread) - len(left),
-        "entries without an exit: an exit added after a typical stay": exits,
-        "exits without an entry: an entry added a typical stay before": entries,
+        "movements without a plate: matched to a car that lacks one": matched,
+        "entries without an exit: an exit added after a typical stay": added[-1],
+        "exits without an entry: an entry added a typical stay before": added[1],
     }
     return Mended(mended, left, tuple(f"mended: {count} {words}" for words, count in counts.items() if count))
 
@@ -130,6 +138,22 @@ def _filled(moves: Sequence[Move], stays: _Stays, pool: Mapping[int, list[float]
         if step == 1 and (behind[1] == 1 if behind else stays.end - hour > stays.longest):
             filled.append((_missing(hour, step, behind, stays, pool), -1))
     return filled
+
+
+def _visits(moves: Sequence[Move], stays: _Stays) -> list[list[Move]]:
+    """Movements without a plate as visits: first in, first out."""
+    visits: list[list[Move]] = []
+    waiting: deque[list[Move]] = deque()
+    for hour, step in moves:
+        while waiting and hour - waiting[0][0][0] > stays.longest:
+            waiting.popleft()
+        if step == -1 and waiting:
+            waiting.popleft().append((hour, step))
+        else:
+            visits.append([(hour, step)])
+            if step == 1:
+                waiting.append(visits[-1])
+    return visits
 
 
 def _missing(hour: float, step: int, neighbour: Move | None, stays: _Stays, pool: Mapping[int, list[float]]) -> float:
