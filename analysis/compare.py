@@ -271,12 +271,11 @@ def table_rows(comparison: Comparison) -> list[Mapping[str, str]]:
         comparison: see :func:`compare`.
 
     Returns:
-        For each measure: ``measure``, ``unit``, the two names, ``difference``, ``95 % interval``, ``seeds needed``.
+        For each measure: ``measure`` with its unit, the two names, ``difference``, ``95 % interval``, ``seeds needed``.
     """
     return [
         {
-            "measure": MEASURES[d.key].words,
-            "unit": MEASURES[d.key].unit,
+            "measure": ", ".join(filter(None, (MEASURES[d.key].words, MEASURES[d.key].unit))),
             comparison.names[0]: _number(d.a.mean),
             comparison.names[1]: _number(d.b.mean),
             "difference": _number(d.change.mean),

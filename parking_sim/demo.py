@@ -14,12 +14,10 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.table import Table
-
 from parking_sim.config import DEFAULT_AGVS, DEFAULT_PLANNER, load_scenario
 from parking_sim.folders import check_folder
 from parking_sim.progress import RunBars
+from parking_sim.terminal import table
 
 if TYPE_CHECKING:
     from parking_sim.simulation import Progress, Summary
@@ -59,7 +57,7 @@ def run_demo(out: Path, force: bool, quiet: bool) -> int:
         print(f"{', '.join(sorted(RUNS))} in SUMO, side by side; this takes some minutes", file=sys.stderr)
     summaries = _run_all(folders, quiet or not sys.stderr.isatty())
     names = sorted(summaries)
-    Console().print(results_table({name: summaries[name] for name in names}))
+    print(results_table({name: summaries[name] for name in names}))
     if any(summary.status == "interrupted" for summary in summaries.values()):
         return 130
     for line in comparison(summaries):
@@ -94,7 +92,7 @@ def complaints_of(summary: Summary) -> list[str]:
     return [*([] if summary.status == "finished" else [f"ended with status {summary.status!r}"]), *summary.failed]
 
 
-def results_table(summaries: Mapping[str, Summary]) -> Table:
+def results_table(summaries: Mapping[str, Summary]) -> str:
     """The figures of some runs as a table for the terminal.
 
     Args:
@@ -103,14 +101,10 @@ def results_table(summaries: Mapping[str, Summary]) -> Table:
     Returns:
         One column a run.
     """
-    table = Table(title="every car parked, then every car brought back")
-    table.add_column()
-    for name in summaries:
-        table.add_column(name, justify="right")
-    columns = [_figures(name, summary.metrics) for name, summary in summaries.items()]
-    for heading in columns[0] if columns else ():
-        table.add_row(heading, *(column[heading] for column in columns))
-    return table
+    columns = {name: _figures(name, summary.metrics) for name, summary in summaries.items()}
+    headings = next(iter(columns.values()), {})
+    rows = [{"": heading, **{name: figures[heading] for name, figures in columns.items()}} for heading in headings]
+    return table(rows, "every car parked, then every car brought back")
 
 
 def _figures(name: str, metrics: Mapping[str, Any]) -> dict[str, str]:

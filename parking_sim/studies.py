@@ -66,6 +66,7 @@ def compare(
     from analysis.compare import HEADLINES, in_words, select_runs, table_rows, variant_names
     from analysis.compare import compare as compare_runs
     from analysis.measures import MEASURES
+    from parking_sim.terminal import print_table
 
     _check_finite({"--warmup": warmup})
     for key in measure or ():
@@ -75,7 +76,7 @@ def compare(
         raise InputError(f"--figure: {figure}: give a file name that ends with .svg or .png")
     names = variant_names(a, b)
     found = compare_runs(select_runs(a), select_runs(b), names, 60 * warmup, measure or HEADLINES)
-    _print_table(table_rows(found), f"{names[1]} against {names[0]}, {len(found.seeds)} seeds")
+    print_table(table_rows(found), f"{names[1]} against {names[0]}, {len(found.seeds)} seeds")
     for line in in_words(found):
         print(line)
     if figure is not None:
@@ -142,6 +143,7 @@ def tune(
     from analysis.variants import label
     from parking_sim.executors import open_executor
     from parking_sim.sweep_plan import parse_seeds
+    from parking_sim.terminal import print_table
     from parking_sim.tuning import parse_ranges, tune_scenario
 
     name = Path(scenario).name.split(".")[0]
@@ -153,7 +155,7 @@ def tune(
     rows = [
         {"setting": label(r.values), measure: f"{r.mean.mean:.5g}", "±": f"{r.mean.half:.3g}"} for r in results[:10]
     ]
-    _print_table(rows, f"{name}: the best of {len(results)} settings")
+    print_table(rows, f"{name}: the best of {len(results)} settings")
     _say(quiet, f"runs: {folder}")
 
 
@@ -163,6 +165,7 @@ def profiles(
 ) -> None:
     """List the demand profiles with their sources, or show the hours of one."""
     from demand.profiles import PROFILES, find_profile
+    from parking_sim.terminal import print_table
 
     if figure is not None and figure.suffix not in (".svg", ".png"):
         raise InputError(f"--figure: {figure}: give a file name that ends with .svg or .png")
@@ -173,7 +176,7 @@ def profiles(
         print(f"    source: {profile.source}")
         print(f"    licence: {profile.licence or 'not stated'}")
     if name is not None:
-        _print_table(_hour_rows(chosen[name]), name)
+        print_table(_hour_rows(chosen[name]), name)
     if figure is not None:
         from analysis.profile_figure import write_profiles_figure
 
@@ -295,10 +298,11 @@ def _keep_sizing(answers: Sequence[tuple[Sizing, str]], folder: Path) -> None:
 def _tell_sizing(answers: Sequence[tuple[Sizing, str]], where: str, folder: Path, report: bool, quiet: bool) -> None:
     """The answers on the terminal, as curves and as a report."""
     from analysis.size_curve import size_curve, write_curve
+    from parking_sim.terminal import print_table
 
     curves = []
     for sizing, sentence in answers:
-        _print_table(_sizing_rows(sizing), where)
+        print_table(_sizing_rows(sizing), where)
         print(sentence)
     for sizing, _ in answers:
         curves.append(size_curve(sizing))
@@ -329,18 +333,6 @@ def _hour_rows(profile: Profile) -> list[dict[str, str]]:
             }
         )
     return rows
-
-
-def _print_table(rows: Sequence[Mapping[str, str]], title: str) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=title)
-    for heading in rows[0] if rows else ():
-        table.add_column(heading, justify="right")
-    for row in rows:
-        table.add_row(*row.values())
-    Console(markup=False, highlight=False, emoji=False).print(table)  # names are the user's
 
 
 def _say(quiet: bool, text: str) -> None:
