@@ -442,6 +442,167 @@ def show_sizing(rows: Rows) -> list[str]:
     return markdown([*headings, "of the grid, mean and most"], lines)
 
 
+# --- grids, lifelong, optimality, stops, large: without bays, or by the clock -----------------------------------------
+
+
+def run_grids(case: Row) -> Row:
+    """The default planner on a grid of the thesis, in ticks."""
+    from grids import measure
+
+    return measure(case["garage"], case["agvs"], case["park_only"])
+
+
+def show_grids(rows: Rows) -> list[str]:
+    """A line a grid."""
+    lines = []
+    for (garage, agvs), own in groups(rows, "garage", "agvs").items():
+        by_end = {row["park_only"]: row for row in own}
+        if len(by_end) == 2:
+            whole, parking = by_end[False], by_end[True]
+            figures = (whole["steps"], whole["nodes_expanded"], parking["nodes_expanded"])
+            lines.append([garage.removesuffix("_thesis").upper(), f"{agvs}", *(f"{value:,}" for value in figures)])
+    return markdown(["grid", "AGVs", "ticks", "nodes expanded", "while parking"], lines)
+
+
+#: Map and fleet -> figures of public solvers: share of the ideal of PBS, WHCA* and PIBT.
+PUBLIC: Mapping[tuple[str, int], tuple[str, str, str]] = {
+    ("garage", 4): (".96", ".97", ".49"),
+    ("garage", 8): (".91", ".89", ".52"),
+    ("garage", 16): (".92", ".84", ".31"),
+    ("garage", 32): (".83", ".69", ".23"),
+    ("garage", 64): (".65", "jams", ".07"),
+    ("warehouse", 10): (".96", ".98", ".94"),
+    ("warehouse", 50): (".88", ".80", ".77"),
+    ("warehouse", 100): (".76", ".61", ".54"),
+    ("warehouse", 200): ("jams", "jams", ".31"),
+}
+LIFELONG = ("token", "pbs", "whca", "pibt")
+#: Fleets from which on PBS, which takes long, is given one seed.
+PBS_ONE_SEED = {"garage": 64, "long_garage": 64, "warehouse": 100}
+
+
+def run_lifelong(case: Row) -> Row:
+    """Lifelong tasks on a grid, one move a tick."""
+    from lifelong import MAPS, OPTIONS, measure
+
+    graph, planner = MAPS[case["map"]](), case["planner"]
+    options = OPTIONS.get(planner, {})
+    measure(graph, 2, planner, 1, 20, options)
+    row = measure(graph, case["agents"], planner, case["seeds"], 1000, options, case["repeats"])
+    return {key: value for key, value in row.items() if key not in case} | {
+        "share": float(str(row["tasks_per_tick"])) / float(str(row["ideal"]))
+    }
+
+
+def show_lifelong(rows: Rows) -> list[str]:
+    """Shares of the ideal beside public ones, and milliseconds of planning a tick."""
+    lines = []
+    for (name, agents), own in groups(rows, "map", "agents").items():
+        found = {row["planner"]: row for row in own}
+        shares = [f"{found[p]['share']:.2f}".removeprefix("0") if p in found else "" for p in LIFELONG]
+        times = [_brief(found[p]["planning_ms"]) if p in found else "" for p in LIFELONG[:3]]
+        lines.append(
+            [name.replace("_", " "), f"{agents}", *PUBLIC[name.removeprefix("long_"), agents], *shares, *times]
+        )
+    headings = ["map", "AGVs", "public PBS", "public WHCA*", "public PIBT", *(f"`{planner}`" for planner in LIFELONG)]
+    return markdown([*headings, "ms a tick: `token`", "`pbs`", "`whca`"], lines)
+
+
+def _brief(value: float) -> str:
+    """Two digits that tell."""
+    return f"{value:.0f}" if value >= 100 else f"{value:.2g}"
+
+
+def run_optimality(case: Row) -> Row:
+    """Ratios to CBS of some random problems, of those that CBS solves; null where a planner finds no plan."""
+    from optimality import PLANNERS as ASKED
+    from optimality import rows
+
+    done = list(rows(range(case["first"], case["first"] + case["problems"])))
+    found = {name: [None if math.isnan(r := float(str(row[name]))) else r for row in done] for name in ASKED}
+    return {"solved": len(done), "ratios": json.dumps(found)}
+
+
+def show_optimality(rows: Rows) -> list[str]:
+    """A line a planner."""
+    ratios: dict[str, list[float]] = {}
+    for row in rows:
+        for planner, found in json.loads(row["ratios"]).items():
+            ratios.setdefault(planner, []).extend(math.nan if ratio is None else ratio for ratio in found)
+    lines = []
+    for planner, every in ratios.items():
+        solved = np.array([ratio for ratio in every if not math.isnan(ratio)])
+        shares = [f"{share:.2f}".removeprefix("0") for share in (len(solved) / len(every), np.mean(solved < 1 + 1e-9))]
+        worst = [f"{value:.2f}" for value in (*np.quantile(solved, (0.9, 0.99)), solved.max())]
+        lines.append([f"`{planner}`", *shares, f"{solved.mean():.3f}", *worst])
+    known, asked = total(rows, "solved"), total(rows, "problems")
+    headings = ["solves", "optimal, of what it solves", "mean ratio", "p90", "p99", "worst"]
+    return markdown([f"of {known} of {asked} problems, solved by CBS", *headings], lines)
+
+
+def run_stops(case: Row) -> Row:
+    """The warehouse grid without stops, with stops, and with stops when fewer tasks come."""
+    from stops import DEFAULT, EVERYTHING, SHARE, in_warehouse
+
+    def done(share: float, answer: tuple[str, bool], tasks: float = math.inf) -> Row:
+        control = {"replanning": answer[0], "reorder": answer[1]}
+        return in_warehouse("token", case["agvs"], share, case["seed"], tasks, control)
+
+    calm, hard, switched = done(0.0, DEFAULT), done(SHARE, DEFAULT), done(SHARE, EVERYTHING)
+    kept = {
+        f"kept_at_{load:.0%}": done(SHARE, DEFAULT, load * calm["done"])["done"]
+        / done(0.0, DEFAULT, load * calm["done"])["done"]
+        for load in (0.8, 0.9)
+    }
+    return {"calm": calm["done"], "hard": hard["done"], "switched": switched["done"], "stopped": hard["stopped"]} | kept
+
+
+def show_stops(rows: Rows) -> list[str]:
+    """A line a fleet."""
+    lines = []
+    for (agvs,), own in groups(rows, "agvs").items():
+        calm, hard, stopped = mean(own, "calm"), mean(own, "hard"), mean(own, "stopped")
+        shares = [
+            hard / calm,
+            1 - stopped,
+            mean(own, "switched") / calm,
+            mean(own, "kept_at_80%"),
+            mean(own, "kept_at_90%"),
+        ]
+        lines.append(
+            [f"{agvs}", f"{stopped:.0%}", f"{calm:,.0f}", f"{hard:,.0f}", *(f"{share:.0%}" for share in shares)]
+        )
+    headings = ["AGVs", "stopped", "tasks without", "with stops", "kept", "ceiling", "kept, switched"]
+    return markdown([*headings, "kept at 80 % of the load", "at 90 %"], lines)
+
+
+def run_large(case: Row) -> Row:
+    """A garage of 10,000 slots in SUMO."""
+    from large import net_in, run
+
+    row = run(net_in(Path(tempfile.gettempdir()) / "parking-sim-large"), case["agvs"], "token", "sumo", case["minutes"])
+    return {key: value for key, value in row.items() if key not in case}
+
+
+def show_large(rows: Rows) -> list[str]:
+    """A line a fleet."""
+    lines = [
+        [
+            f"{row['agvs']}",
+            f"{row['cpu_ms']:.1f}",
+            f"{row['cpu_us_per_agv']:.0f}",
+            f"{row['cpu_times_real']:.0f}",
+            f"{row['memory_mb']:,}",
+            f"{row['deadlocks']}",
+        ]
+        for row in rows
+    ]
+    return markdown(
+        ["AGVs", "CPU a step, ms", "of an AGV, microseconds", "times real time, by CPU", "memory, MB", "deadlocks"],
+        lines,
+    )
+
+
 def _whole(garage: str, fleets: Sequence[int], plant: str = "sumo", planner: str = "token") -> list[Row]:
     return [{"garage": garage, "agvs": n, "plant": plant, "planner": planner} for n in fleets]
 
@@ -536,6 +697,50 @@ SETS: Mapping[str, RunSet] = {
         ),
         run_departures,
     ),
+    "grids": RunSet(
+        "the default planner on the thesis's grids, in ticks",
+        tuple(
+            {"garage": garage, "agvs": agvs, "park_only": park_only}
+            for garage, agvs in (("map1_thesis", 4), ("map2_thesis", 4), ("map3_thesis", 8))
+            for park_only in (True, False)
+        ),
+        run_grids,
+    ),
+    "stops": RunSet(
+        "lifelong tasks on a warehouse grid with AGVs that stop",
+        tuple({"agvs": agvs, "seed": seed} for agvs in (8, 16, 32, 64) for seed in (1, 2, 3)),
+        run_stops,
+    ),
+    "optimality": RunSet(
+        "random small garages, sum of arrivals over the optimum",
+        tuple({"first": first, "problems": 20} for first in range(0, 200, 20)),
+        run_optimality,
+    ),
+    "large": RunSet(
+        "a garage of 10,000 slots, in SUMO",
+        tuple({"agvs": agvs, "minutes": 10} for agvs in (8, 50, 200, 500)),
+        run_large,
+    ),
+    "lifelong": RunSet(
+        "lifelong tasks on grids",
+        tuple(
+            {
+                "map": name,
+                "agents": agents,
+                "planner": planner,
+                "seeds": 1 if planner == "pbs" and agents >= PBS_ONE_SEED[name] else 3,
+                "repeats": 3 if planner in ("token", "whca") else 1,
+            }
+            for name, fleets in (
+                ("garage", (4, 8, 16, 32, 64)),
+                ("long_garage", (4, 8, 16, 32, 64)),
+                ("warehouse", (10, 50, 100, 200)),
+            )
+            for agents in fleets
+            for planner in LIFELONG
+        ),
+        run_lifelong,
+    ),
     "sizing": RunSet(
         "sizing against a grid of all fleets, in ticks",
         tuple(
@@ -559,4 +764,9 @@ TABLES: Mapping[str, Table] = {
     "soak": Table("soak", show_soak),
     "recovery": Table("soak", show_recovery),
     "sizing": Table("sizing", show_sizing),
+    "grids": Table("grids", show_grids),
+    "stops": Table("stops", show_stops),
+    "optimality": Table("optimality", show_optimality),
+    "large": Table("large", show_large),
+    "lifelong": Table("lifelong", show_lifelong),
 }

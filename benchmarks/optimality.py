@@ -10,7 +10,7 @@ after the other until everybody is at the goal, or for 60 moves.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -59,9 +59,9 @@ def _moves_in_a_row(planner, problem: PlanningProblem) -> int | None:  # type: i
     return None
 
 
-def rows(problems: int) -> Iterator[dict[str, object]]:
+def rows(problems: Iterable[int]) -> Iterator[dict[str, object]]:
     """One row for each problem that CBS solves, with each planner's ratio (nan where it finds no plan)."""
-    for number in range(problems):
+    for number in problems:
         problem = random_problem(number, FOREVER)
         best = cost("cbs", {"expansions": 2000}, problem)
         if best:
@@ -93,7 +93,7 @@ def main() -> None:
     parser.add_argument("--csv", type=Path)
     parser.add_argument("--figure", type=Path)
     given = parser.parse_args()
-    done = list(rows(given.problems))
+    done = list(rows(range(given.problems)))
     print(f"{len(done)} of {given.problems} problems solved by CBS")
     table = {name: np.array([row[name] for row in done], dtype=float) for name in PLANNERS}
     for name, ratios in table.items():
