@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from analysis.compare import select_runs, split_choice
@@ -34,11 +34,16 @@ GROUPS = st.recursive(
 )
 
 
+#: Whatever else the machine has to do.
+UNHURRIED = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+
 def same(a: Any, b: Any) -> bool:
     """Equal as YAML has it: true is not 1."""
     return json.dumps(a, sort_keys=True) == json.dumps(b, sort_keys=True)
 
 
+@UNHURRIED
 @given(st.lists(GROUPS, min_size=1, max_size=6))
 def test_other_values_have_other_texts(values: list[Any]) -> None:
     texts = [value_text(shown) for shown in tell_apart(values)]
@@ -47,6 +52,7 @@ def test_other_values_have_other_texts(values: list[Any]) -> None:
             assert (texts[i] == texts[j]) == same(a, b)
 
 
+@UNHURRIED
 @given(st.lists(st.dictionaries(st.sampled_from("abc"), GROUPS, max_size=3), min_size=1, max_size=5))
 def test_runs_of_other_scenarios_are_other_variants(scenarios: list[dict[str, Any]]) -> None:
     names = [variant.name for variant in by_scenario({str(i): s for i, s in enumerate(scenarios)}).values()]
@@ -67,7 +73,7 @@ ENTRIES = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@UNHURRIED
 @given(st.lists(ENTRIES, min_size=1, max_size=4), st.lists(WORKLOADS, max_size=2), st.booleans())
 def test_a_sweep_pools_nothing(
     tmp_path_factory: pytest.TempPathFactory, entries: list[Any], grid: list[Any], named: bool
@@ -88,7 +94,7 @@ def test_a_sweep_pools_nothing(
 # --- the example of the docs, to its end ----------------------------------------------------------------------------
 
 DOCS = Path(__file__).parent.parent / "docs" / "sweeps.md"
-SMALL = "base: {garage: map1, plant: discrete, duration_s: 900, record: {sample_s: 60}}"
+SMALL = "base: {garage: map1, plant: discrete, duration_s: 660, record: {sample_s: 60}}"
 
 
 def blocks(language: str) -> list[str]:
