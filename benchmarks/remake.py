@@ -91,7 +91,7 @@ def table_text(name: str, folder: Path) -> str:
     """A table in Markdown, with a line that says what made it."""
     table = TABLES[name]
     rows = read_results(folder / f"{table.runs}.csv")
-    body = table.show(rows)
+    body = table.show(rows) if rows else []
     if not body:
         return ""
     made = dict.fromkeys(f"{row['version']}, commit {row['commit']}, {row['date']}" for row in rows)

@@ -78,6 +78,11 @@ def test_a_killed_remake_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: p
     assert {row["code"] for row in remake.read_results(tmp_path / "squares.csv")} == {"another"}
 
 
+@pytest.mark.parametrize("name", remake.TABLES)
+def test_a_table_without_results_is_empty(tmp_path: Path, name: str) -> None:
+    assert remake.table_text(name, tmp_path) == ""
+
+
 def test_a_table_is_filled_in_with_what_made_it(tmp_path: Path) -> None:
     (tmp_path / "speed.csv").write_text(
         "garage,agvs,planner,repeat,sumo_s,plant_s,planning_s,execution_s,record_s,check_s,simulated_s,version,commit,date,code\n"
