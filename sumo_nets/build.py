@@ -42,7 +42,7 @@ _STREET_PARTS = ("entry", "queue", "front", "exit")
 
 #: netconvert must guess nothing: every connection is given, every vertex keeps its shape, and turns aren't slowed
 #: down (the plant times them).
-_OPTIONS = (
+NETCONVERT_OPTIONS = (
     "--no-turnarounds", "true",
     "--junctions.limit-turn-speed", "-1",
     "--junctions.internal-link-detail", "2",
@@ -102,7 +102,7 @@ def compile_net(plan: GaragePlan) -> bytes:
     program = find_netconvert()
     with tempfile.TemporaryDirectory() as scratch:
         inputs = {"--node-files": _nodes, "--edge-files": _edges, "--connection-files": _connections}
-        command = [program, *_OPTIONS]
+        command = [program, *NETCONVERT_OPTIONS]
         for option, lines in inputs.items():
             path = Path(scratch) / f"{option.strip('-')}.xml"
             path.write_text("".join(lines(plan)), encoding="utf-8")

@@ -20,13 +20,13 @@ from sumo_nets.bodies import (
 )
 from sumo_nets.doors import one_door_each
 from sumo_nets.errors import NetError
-from sumo_nets.graph import Graph
-from sumo_nets.numbering import EdgeIndex, numbered
+from sumo_nets.graph import FloatArray, Graph
+from sumo_nets.numbering import EdgeIndex, Vertex, numbered
 from sumo_nets.read import GarageNet, is_shipped
 from sumo_nets.ways import cut_off, shut_in, unconnected_turns
 from sumo_nets.well_formed import describe
 
-#: A vertex may lie so much farther from its lanes' ends than these from each other.
+#: A vertex may lie so far outside the box around its lanes' ends.
 OFF_VERTEX_M = 1.0
 #: Differences in length that come of rounding: between the directions of a lane, and between a lane and its drawing.
 SAME_LENGTH_M, DRAWN_LENGTH_M = 0.005, 0.1
@@ -82,7 +82,7 @@ def require_fit(garage: GarageNet, size_m: tuple[float, float]) -> None:
     Raises:
         NetError: there are complaints; it has the first one, and how many more.
     """
-    complaints = check_net(garage, size_m, not is_shipped(garage))
+    complaints = check_net(garage, size_m, loads=False) or check_net(garage, size_m, loads=not is_shipped(garage))
     if complaints:
         more = f"; and {len(complaints) - 1} more: parking-sim check-net names them" if len(complaints) > 1 else ""
         raise NetError(f"{garage.net_file}: {complaints[0]}{more}")
@@ -119,13 +119,15 @@ def _check_counts(graph: Graph) -> Iterator[str]:
 def _check_vertices(garage: GarageNet) -> Iterator[str]:
     """A vertex lies where its lanes meet: what is planned and freed is counted from there."""
     graph = garage.graph
-    begins, ends = (np.array([shape[i] for shape in garage.shapes]) for i in (0, -1))
-    for v, name in enumerate(graph.names):
-        points = np.concatenate([begins[graph.tail == v], ends[graph.head == v]])
-        apart_m = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)).max(initial=0.0)
-        away_m = np.hypot(*(points - graph.xy[v]).T).max(initial=0.0)
-        if away_m > apart_m + OFF_VERTEX_M:
-            yield f"{name}: a lane ends {away_m:.2f} m away from it"
+    meeting: dict[Vertex, list[FloatArray]] = {}
+    for e, (tail, head) in numbered(graph.ends):
+        meeting.setdefault(tail, []).append(garage.shapes[e][0])
+        meeting.setdefault(head, []).append(garage.shapes[e][-1])
+    for v, points in meeting.items():
+        low, high = np.min(points, axis=0), np.max(points, axis=0)
+        off_m = float(np.max(np.maximum(low - graph.xy[v], graph.xy[v] - high)))
+        if off_m > OFF_VERTEX_M:
+            yield f"{graph.names[v]}: its lanes end {off_m:.2f} m beside it"
 
 
 def _check_lanes(garage: GarageNet, size_m: tuple[float, float]) -> Iterator[str]:

@@ -40,7 +40,7 @@ def shut_in(graph: Graph) -> Iterator[str]:
                 f"no way to {_listed(graph, behind)} but through slots: cars parked in {_listed(graph, sorted(gates))}"
                 " would shut them in"
             )
-        elif len(part) == 1 and part <= set(graph.slots) and len(model[behind[0]]):
+        elif len(part) == 1 and part <= set(graph.slots) and model.degree(behind[0]):
             yield (
                 f"slot {graph.names[behind[0]]} has no two-way lane to an aisle: a car is fetched by the lane by which"
                 " it was brought"

@@ -12,6 +12,7 @@ from pathlib import Path
 import networkx as nx
 import numpy as np
 import pytest
+from small_net import LAYOUT as GOOD
 
 import sumo_nets
 from sumo_nets.bodies import closest_moving, closest_standing
@@ -238,28 +239,6 @@ def test_generator_refuses_what_does_not_fit(wish: dict[str, int]) -> None:
 
 
 # --- layouts that can't be built -------------------------------------------------------------------------------------
-
-GOOD = """
-name: small
-pitch_m: 7.0
-handover: bay
-aisles:
-  - {from: [2, 6], to: [2, 0], way: one}
-  - {from: [2, 0], to: [9, 0], way: two}
-  - {from: [9, 0], to: [9, 6], way: one}
-  - {from: [9, 6], to: [2, 6], way: one}
-slots:
-  - {from: [4, 0], to: [7, 0], side: [north, south], per_cell: 2}
-bays:
-  - {at: [2, 3], side: west}
-homes:
-  - {at: [9, 2], side: east, per_cell: 2}
-chargers:
-  - {at: [9, 5], side: east}
-refuges:
-  - {at: [8, 0], side: north}
-street: {from: [0, 6], to: [0, 0]}
-"""
 
 
 def test_the_small_layout_is_good() -> None:
