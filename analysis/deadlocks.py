@@ -1,17 +1,22 @@
-"""Deadlocks explained: who held what, who waited for whom, why it arose, what resolved it, and what it cost."""
+"""Deadlocks explained: who held what, who waited for whom, why it arose, what resolved it, and what it cost.
+
+Whatever shows deadlocks (report, replay, figures, metrics, command line) takes them from ``deadlocks``.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from itertools import cycle
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from analysis.figures import words
+from analysis.clock import Clock
+from analysis.faults import fault_spans
+from analysis.words import words
 from controller.types import AgvNumber
 
 if TYPE_CHECKING:
@@ -32,7 +37,10 @@ class Deadlock:
 
     Attributes:
         number: its number in the run, from 0.
+        began_s: when the wait began, seconds.
         found_s: when it was found, seconds.
+        over_s: when it was resolved, seconds; infinite if it was not.
+        where: name of the vertex that its first member wanted, "" if it wanted none.
         cause: ring, idle or stuck.
         members: AGV numbers.
         waits: for each waiting AGV the one it waited for.
@@ -41,13 +49,15 @@ class Deadlock:
         goals: where each member had to go.
         tried: stages that found nothing, with the reason and how often.
         stage: what resolved it; empty if nothing did.
-        cost_s: seconds from the beginning of the wait to the resolution; NaN if there was none.
         plans_failed: agents without a path and refused plans in the minute before.
         faults: what was wrong in the garage while it lasted: cause and whom or what it concerned.
     """
 
     number: int
+    began_s: float
     found_s: float
+    over_s: float
+    where: str
     cause: str
     members: tuple[AgvNumber, ...]
     waits: Mapping[AgvNumber, AgvNumber]
@@ -56,9 +66,18 @@ class Deadlock:
     goals: Mapping[AgvNumber, str]
     tried: Mapping[str, int]
     stage: str
-    cost_s: float
     plans_failed: int
     faults: tuple[str, ...]
+
+    @property
+    def in_vain(self) -> list[str]:
+        """The stages that found nothing, each with its reason and how often."""
+        return [text if times == 1 else f"{text} × {times}" for text, times in self.tried.items()]
+
+    @property
+    def cost_s(self) -> float:
+        """Seconds from the beginning of the wait to the resolution; infinite if there was none."""
+        return self.over_s - self.began_s
 
 
 def deadlocks(run: Run) -> list[Deadlock]:
@@ -70,56 +89,42 @@ def deadlocks(run: Run) -> list[Deadlock]:
     resolved = {int(row["deadlock"]): row for row in _rows(run, "deadlock_resolved")}
     tried: dict[int, Counter[str]] = {}
     for row in _rows(run, "stage_failed"):
-        tried.setdefault(int(row["deadlock"]), Counter())[f"{words(row['stage'])}: {row['reason']}"] += 1
+        tried.setdefault(row["deadlock"], Counter())[words(f"{row['stage']}: {row['reason']}")] += 1
     events = run.events
     failed_s = events["time_s"][events["kind"].isin(["plan_partial", "plan_rejected"])].to_numpy()
-    faults = _faults(run)
+    faults = [span for span in fault_spans(run).values() if span.cause not in ("late", "lost")]
     found = []
     for row in _rows(run, "deadlock_found"):
-        number, found_s = int(row["deadlock"]), float(row["time_s"])
-        end = resolved.get(number, {})
-        over_s = float(end.get("time_s", math.inf))
-        cost_s = float(end.get("cost_s", math.nan))
-        began_s = over_s - cost_s if end else found_s
+        number, found_s = row["deadlock"], row["time_s"]
+        end = resolved.get(number)
+        over_s = end["time_s"] if end else math.inf
+        began_s = over_s - end["cost_s"] if end else row.get("since_s", found_s)
         found.append(
             Deadlock(
                 number,
+                began_s,
                 found_s,
-                str(row.get("cause", "")),
-                tuple(AgvNumber(int(n)) for n in row.get("members", ())),
-                {AgvNumber(int(n)): AgvNumber(int(other)) for n, other in _mapping(row, "waits")},
-                {AgvNumber(int(n)): str(name) for n, name in _mapping(row, "wants")},
-                {AgvNumber(int(n)): tuple(names) for n, names in _mapping(row, "holds")},
-                {AgvNumber(int(n)): str(name) for n, name in _mapping(row, "goals")},
+                over_s,
+                row["vertex"],
+                row.get("cause", ""),
+                tuple(map(AgvNumber, row["members"])),
+                {AgvNumber(int(n)): AgvNumber(other) for n, other in row.get("waits", {}).items()},
+                {AgvNumber(int(n)): name for n, name in row.get("wants", {}).items()},
+                {AgvNumber(int(n)): tuple(names) for n, names in row.get("holds", {}).items()},
+                {AgvNumber(int(n)): name for n, name in row.get("goals", {}).items()},
                 tried.get(number, Counter()),
-                str(end.get("stage", "")),
-                cost_s,
+                end["stage"] if end else "",
                 int(((failed_s > found_s - BEFORE_S) & (failed_s <= found_s)).sum()),
-                tuple(text for start, stop, text in faults if start < over_s and stop > began_s),
+                tuple(fault.text for fault in faults if fault.start_s < over_s and fault.end_s > began_s),
             )
         )
     return found
 
 
 def _rows(run: Run, kind: str) -> list[dict[str, Any]]:
-    return [{str(key): value for key, value in row.items()} for row in run.details(kind).to_dict("records")]
-
-
-def _mapping(row: Mapping[str, Any], key: str) -> Iterator[tuple[str, Any]]:
-    """A detail that older records lack."""
-    value = row.get(key)
-    yield from value.items() if isinstance(value, dict) else ()
-
-
-def _faults(run: Run) -> list[tuple[float, float, str]]:
-    """Begin, end and words for each fault that the controller was told of or an AGV had."""
-    ends = {int(row["fault"]): float(row["time_s"]) for row in _rows(run, "fault_end")}
-    spans = []
-    for row in _rows(run, "fault_start"):
-        if row["cause"] not in ("late", "lost"):
-            whom = row["vertex"] or ", ".join(f"AGV {n}" for n in row["agvs"])
-            spans.append((float(row["time_s"]), ends.get(int(row["fault"]), math.inf), f"{row['cause']} ({whom})"))
-    return spans
+    """The events of one kind with the keys of their details; keys that a detail lacks are missing in its row too."""
+    rows = run.events[run.events["kind"] == kind].to_dict("records")
+    return [{**{str(key): value for key, value in row.items()}, **json.loads(row["detail"] or "{}")} for row in rows]
 
 
 def why(deadlock: Deadlock) -> str:
@@ -142,18 +147,24 @@ def why(deadlock: Deadlock) -> str:
     return text
 
 
-def story(deadlock: Deadlock) -> str:
+def story(deadlock: Deadlock, clock: Clock) -> str:
     """A deadlock as text of a few lines."""
     d = deadlock
-    lines = [f"deadlock {d.number}, found at {d.found_s:g} s: {why(d)}"]
+    lines = [f"deadlock {d.number}, found at {clock.at(d.found_s)}: {why(d)}"]
     for n in d.members:
         holds = f"held {', '.join(d.holds[n])}" if n in d.holds else "held unrecorded places"
         goal = f", on the way to {d.goals[n]}" if d.goals.get(n, "") not in ("", *d.holds.get(n, ())[-1:]) else ""
         wait = f", wanted {d.wants[n]} and waited for AGV {d.waits[n]}" if n in d.waits else ""
         lines.append(f"  AGV {n} {holds}{goal}{wait}")
-    lines += [f"  tried in vain: {text}" + (f" (x{times})" if times > 1 else "") for text, times in d.tried.items()]
-    lines.append(f"  resolved by {words(d.stage)} after {d.cost_s:g} s" if d.stage else "  not resolved")
+    lines += [f"  tried in vain: {text}" for text in d.in_vain]
+    lines.append(f"  {outcome(d)}")
     return "\n".join(lines)
+
+
+def outcome(deadlock: Deadlock) -> str:
+    """What resolved a deadlock, and the seconds that it cost."""
+    d = deadlock
+    return f"resolved by {words(d.stage)}, {d.cost_s:g} s after the wait began" if d.stage else "not resolved"
 
 
 def _names(members: Sequence[int]) -> str:
@@ -220,42 +231,3 @@ def _agv(
 
 def _label(place: tuple[float, float], name: str) -> str:
     return f'<text x="{place[0] + 2:.1f}" y="{place[1] - 2:.1f}" font-size="2" fill="#475569">{escape(name)}</text>'
-
-
-def explain(folder: Path, number: int | None, picture: Path | None) -> str:
-    """What the command line prints.
-
-    Args:
-        folder: a run's record.
-        number: the deadlock to explain; None for all.
-        picture: SVG file to write the deadlock to, None for none.
-
-    Returns:
-        Text of several lines.
-
-    Raises:
-        InputError: no record, no such deadlock, or a picture of more than one or that can't be drawn or written.
-    """
-    from analysis.tables import load_run
-    from parking_sim.errors import InputError
-
-    try:
-        run = load_run(folder)
-    except (FileNotFoundError, NotADirectoryError):
-        raise InputError(f"{folder}: no record of a run") from None
-    all_ = deadlocks(run)
-    chosen = [d for d in all_ if number is None or d.number == number]
-    if number is not None and not chosen:
-        known = f"it has 0 to {len(all_) - 1}" if all_ else "it has none"
-        raise InputError(f"{folder}: no deadlock {number}; {known}")
-    if picture is not None:
-        if number is None:
-            raise InputError("--svg: name one deadlock by its number")
-        svg = draw(chosen[0], run.vertices, run.edges)
-        if not svg:
-            raise InputError(f"--svg: {folder}: the record says nothing of places")
-        try:
-            picture.write_text(svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1), encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"--svg: {picture}: can't be written: {error.strerror}") from None
-    return "\n".join(map(story, chosen)) if chosen else "no deadlock was found"

@@ -18,8 +18,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.clock import Clock
+from analysis.deadlocks import deadlocks
 from analysis.metrics import ACTIVITIES, SERVICE_LEVELS_S, waits
 from analysis.tables import Run
+from analysis.words import words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -136,7 +139,7 @@ def draw_waits_over_time(run: Run) -> Figure | None:
         axes.axhline(level / 60.0, color=INK, linewidth=0.8, linestyle=":")
     axes.set(xlabel="time of the request (h:mm)", ylabel="wait (minutes)", xlim=(0.0, max(end, 1.0)))
     axes.set_ylim(bottom=0)
-    _clock(axes)
+    _show_clock(axes, Clock.of(run.meta))
     return figure
 
 
@@ -153,18 +156,18 @@ def draw_queue(run: Run) -> Figure | None:
         ("queue", "cars waiting for a bay", BLUE, "-"),
         ("waiting_requests", "requests without an AGV", ORANGE, "--"),
     ):
-        top.plot(binned["time_s"], binned[name, "mean"], dash, color=color, label=label)
+        top.plot(binned["time_s"], binned[name], dash, color=color, label=label)
     top.fill_between(
-        binned["time_s"], binned["spilled", "max"], color=RED, alpha=0.45, linewidth=0, label="on the street"
+        binned["time_s"], binned["spilled"], color=RED, alpha=0.45, linewidth=0, label="of them on the street"
     )
     top.set_ylabel("waiting")
     top.yaxis.set_major_locator(MaxNLocator(integer=True))
     top.legend(loc="upper right", ncols=3)
     top.set_ylim(0, max(1.0, top.get_ylim()[1] * 1.15))
-    bottom.plot(binned["time_s"], binned["parked", "mean"], color=GREEN)
-    bottom.set(ylabel="cars in slots", xlabel="time (h:mm)")
+    bottom.plot(binned["time_s"], binned["parked"], color=GREEN)
+    bottom.set(ylabel="cars in slots", xlabel=f"{Clock.of(run.meta).name} (h:mm)")
     bottom.set_ylim(bottom=0)
-    _clock(bottom)
+    _show_clock(bottom, Clock.of(run.meta))
     return figure
 
 
@@ -197,35 +200,25 @@ def draw_utilisation(run: Run) -> Figure | None:
 
 def draw_deadlocks(run: Run) -> Figure | None:
     """Each deadlock: when it was found and how long it lasted, coloured by what resolved it."""
-    found = run.details("deadlock_found")
-    if found.empty:
+    found = deadlocks(run)
+    if not found:
         return None
-    resolved = run.details("deadlock_resolved")
     figure, (axes,) = new_figure(2.3)
-    if len(resolved):
-        colors = (BLUE, ORANGE, GREEN, PINK, SKY, YELLOW)
-        for k, stage in enumerate(sorted(set(resolved["stage"]))):
-            rows = resolved[resolved["stage"] == stage]
-            color = colors[k % len(colors)]
-            starts = rows["time_s"] - rows["cost_s"]
-            axes.vlines(starts, 0.0, rows["cost_s"], color=color, linewidth=1.2)
-            axes.plot(
-                starts,
-                rows["cost_s"],
-                "o",
-                color=color,
-                markersize=4.5,
-                label=words(stage),
-            )
-    lost = _unresolved(found, resolved)
-    if len(lost):
+    colors = (BLUE, ORANGE, GREEN, PINK, SKY, YELLOW)
+    for k, stage in enumerate(sorted({d.stage for d in found} - {""})):
+        color = colors[k % len(colors)]
+        starts, costs = zip(*((d.began_s, d.cost_s) for d in found if d.stage == stage), strict=True)
+        axes.vlines(starts, 0.0, costs, color=color, linewidth=1.2)
+        axes.plot(starts, costs, "o", color=color, markersize=4.5, label=words(stage))
+    lost = [d.began_s for d in found if not d.stage]
+    if lost:
         top = axes.get_ylim()[1]
-        axes.plot(lost["time_s"], [top] * len(lost), "x", color=RED, markersize=6, label="unresolved", clip_on=False)
-    axes.set(xlabel="time found (h:mm)", ylabel="seconds to resolve")
-    axes.set_xlim(0, float(run.meta.get("simulated_s") or found["time_s"].max()))
+        axes.plot(lost, [top] * len(lost), "x", color=RED, markersize=6, label="not resolved", clip_on=False)
+    axes.set(xlabel=f"beginning of the wait, {Clock.of(run.meta).name} (h:mm)", ylabel="seconds to resolve")
+    axes.set_xlim(0, float(run.meta.get("simulated_s") or max(d.found_s for d in found)))
     axes.set_ylim(bottom=0)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=6)
-    _clock(axes)
+    _show_clock(axes, Clock.of(run.meta))
     return figure
 
 
@@ -295,8 +288,8 @@ FIGURES: Mapping[str, tuple[str, str, Callable[[Run], Any]]] = {
     ),
     "queue": (
         "Queue and occupancy",
-        "Top: cars that wait for a bay, those of them on the public street (most at a time), and requests that no AGV "
-        "has taken yet. Bottom: cars in slots.",
+        "Top: cars that wait for a bay, those of them on the public street, and requests that no AGV has taken yet. "
+        "Bottom: cars in slots. Each the most at a time.",
         draw_queue,
     ),
     "utilisation": (
@@ -311,7 +304,7 @@ FIGURES: Mapping[str, tuple[str, str, Callable[[Run], Any]]] = {
     ),
     "deadlocks": (
         "Deadlocks over time",
-        "One stem for each deadlock: when it was found, how long until it was resolved, and by what.",
+        "One stem for each deadlock: when the wait began, how long until it was resolved, and by what.",
         draw_deadlocks,
     ),
     "planning": (
@@ -369,11 +362,6 @@ def svg(figure: Figure, key: str, title: str) -> str:
     return opening + re.sub(r"\n\s*", "\n", body)
 
 
-def words(name: object) -> str:
-    """A name of the program (``partial_cbs``) as a reader writes it."""
-    return str(name).replace("_", " ").replace("cbs", "CBS")
-
-
 def new_figure(height_in: float, rows: int = 1, columns: int = 1) -> tuple[Figure, list[Axes]]:
     """A figure without pyplot: nothing global, nothing to close."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -385,33 +373,27 @@ def new_figure(height_in: float, rows: int = 1, columns: int = 1) -> tuple[Figur
     return figure, list(axes.ravel())
 
 
-def _clock(axes: Axes) -> None:
-    """Seconds on the x axis as h:mm, at round times."""
-    from matplotlib.ticker import FuncFormatter, MultipleLocator
+def _show_clock(axes: Axes, clock: Clock) -> None:
+    """Seconds on the x axis as h:mm of a clock, at its round times."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter
 
     low, high = axes.get_xlim()
     low = max(0.0, low)
     axes.set_xlim(low, high)
     steps = (60, 300, 600, 900, 1800, 3600, 7200, 14400, 21600, 43200, 86400)
     step = next((s for s in steps if (high - low) / s <= 12), 86400)
-    axes.xaxis.set_major_locator(MultipleLocator(step))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda s, _: f"{s // 3600:.0f}:{s % 3600 // 60:02.0f}"))
+    first = -(-(low + clock.offset_s) // step) * step - clock.offset_s
+    axes.xaxis.set_major_locator(FixedLocator(np.arange(first, high + 1e-6, step).tolist()))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda s, _: clock.at(s).rpartition(":")[0]))
 
 
 def _binned(line: pd.DataFrame, names: list[str]) -> pd.DataFrame:
-    """Mean and maximum of columns in at most so many equal stretches of time."""
+    """The maximum of columns in each of at most so many equal stretches of time."""
     width = max(1e-9, float(line["time_s"].iloc[-1] - line["time_s"].iloc[0]) / _MAX_POINTS)
     stretch = ((line["time_s"] - line["time_s"].iloc[0]) // width).astype(int)
-    binned = line.groupby(stretch)[names].agg(["mean", "max"])
-    binned["time_s", ""] = line.groupby(stretch)["time_s"].min()
+    binned = line.groupby(stretch)[names].max()
+    binned["time_s"] = line.groupby(stretch)["time_s"].min()
     return binned
-
-
-def _unresolved(found: pd.DataFrame, resolved: pd.DataFrame) -> pd.DataFrame:
-    """Deadlocks that were found and not resolved."""
-    if resolved.empty or "deadlock" not in found or "deadlock" not in resolved:
-        return found.iloc[len(resolved) :]
-    return found[~found["deadlock"].isin(resolved["deadlock"])]
 
 
 def _per_vertex(xy: NDArray[np.float64], trajectory: pd.DataFrame) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -15,12 +15,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from analysis.figures import words
+from analysis.clock import Clock
+from analysis.deadlocks import deadlocks, outcome
 from analysis.replay_cars import MODES, jobs_shown, plans_shown, read_track, stays_shown
 from analysis.replay_data import Floats, Ints, Window, ms, pack
 from analysis.replay_floor import Floor, read_floor
-from analysis.report import clock, environment, page_title, write_page
+from analysis.report import environment, page_title, write_page
 from analysis.tables import Run, load_run
+from analysis.words import words
 from parking_sim.errors import InputError
 from parking_sim.record import COLUMNS
 
@@ -57,7 +59,7 @@ def write_replay(
         InputError: there is no record, it holds no trajectory or floor, or nothing between the two times.
         OSError: if the folder can't be written.
     """
-    run = _load(folder)
+    run = load_replayed(folder)
     linked = (folder / "report.html").is_file() if report is None else report
     return write_page(folder / "replay.html", replay_page(run, start_s, end_s, limit_bytes, linked))
 
@@ -92,7 +94,12 @@ def _source(name: str) -> str:
 # --- the whole ----------------------------------------------------------------------------------------------------
 
 
-def _load(folder: Path) -> Run:
+def load_replayed(folder: Path) -> Run:
+    """The record of a run that is to be shown.
+
+    Raises:
+        InputError: there is none, or one of another version.
+    """
     try:
         run = load_run(folder)
     except FileNotFoundError as error:
@@ -107,7 +114,8 @@ def _window(run: Run, times: Floats, start_s: float | None, end_s: float | None)
     last = float(times[-1])
     window = Window(max(0.0, start_s or 0.0), min(last, last if end_s is None else end_s))
     if not ((times >= window.start_s) & (times <= window.end_s)).any():
-        raise InputError(f"{run.name}: no sample from {clock(window.start_s)} to {clock(window.end_s)}")
+        clock = Clock.of(run.meta)
+        raise InputError(f"{run.name}: no sample from {clock.at(window.start_s)} to {clock.at(window.end_s)}")
     return window
 
 
@@ -137,7 +145,8 @@ def _contents(run: Run, floor: Floor, window: Window, every: int) -> tuple[dict[
         "slots": len(floor.places["slot"]),
         "start": int(ms(track.time_s[keep[:1]])[0]),
         "end": int(ms(track.time_s[keep[-1:]])[0]),
-        "note": _note(track.time_s, window, every),
+        "clock": {"name": Clock.of(run.meta).name, "offset": 1000 * Clock.of(run.meta).offset_s},
+        "note": _note(track.time_s, window, every, Clock.of(run.meta)),
         "floor": floor.drawn,
         "deadlocks": _deadlocks(run, window),
         "incidents": _incidents(run, window),
@@ -145,10 +154,11 @@ def _contents(run: Run, floor: Floor, window: Window, every: int) -> tuple[dict[
     return head, columns
 
 
-def _note(times: Floats, window: Window, every: int) -> str:
+def _note(times: Floats, window: Window, every: int, clock: Clock) -> str:
     """What of the run is on the page, in words."""
     whole = window.start_s <= times[0] and window.end_s >= times[-1]
-    part = "Whole run" if whole else f"{clock(window.start_s)} to {clock(window.end_s)} of {clock(float(times[-1]))}"
+    shown = f"{clock.at(window.start_s)} to {clock.at(window.end_s)}"
+    part = "Whole run" if whole else f"{shown} of a run to {clock.at(float(times[-1]))}"
     step = _interval(times)
     if every == 1:
         return f"{part}, a position every {step:g} s"
@@ -165,7 +175,9 @@ def _count(value: object, otherwise: int) -> int:
 
 def _timeline(line: pd.DataFrame, window: Window, every: int) -> dict[str, Ints]:
     rows = line[(line["time_s"] >= window.start_s) & (line["time_s"] <= window.end_s)].iloc[::every]
-    counts = {"line_queue": "queue", "line_parked": "parked", "line_waiting": "waiting_requests"}
+    counts = {
+        "line_queue": "queue", "line_spilled": "spilled", "line_parked": "parked", "line_waiting": "waiting_requests",
+    }  # fmt: skip
     return {
         "line_time": ms(rows["time_s"]),
         **{name: rows[column].to_numpy().astype(np.int64) for name, column in counts.items()},
@@ -177,28 +189,22 @@ def _timeline(line: pd.DataFrame, window: Window, every: int) -> dict[str, Ints]
 
 def _deadlocks(run: Run, window: Window) -> list[dict[str, Any]]:
     """Deadlocks of the window: from when to when, who, where, why, and what resolved them."""
-    end = {detail.get("deadlock"): (time, detail) for time, _, detail in _details(run, "deadlock_resolved")}
-    tried: dict[Any, list[str]] = {}
-    for _, _, detail in _details(run, "stage_failed"):
-        tried.setdefault(detail.get("deadlock"), []).append(words(detail.get("stage", "")))
-    rows = []
-    for time, row, detail in _details(run, "deadlock_found"):
-        over, outcome = end.get(detail.get("deadlock"), (math.inf, {}))
-        if time <= window.end_s and over >= window.start_s:
-            rows.append(
-                {
-                    "from": int(ms(time)),
-                    "to": int(ms(over)),
-                    "members": detail.get("members", []),
-                    "waits": [[int(a), int(b)] for a, b in (detail.get("waits") or {}).items()],
-                    "where": row["vertex"],
-                    "cause": words(detail.get("cause", "")),
-                    "tried": tried.get(detail.get("deadlock"), []),
-                    "stage": words(outcome.get("stage", "")),
-                    "cost": outcome.get("cost_s"),
-                }
-            )
-    return rows
+    return [
+        {
+            "from": int(ms(d.began_s)),
+            "found": int(ms(d.found_s)),
+            "to": int(ms(d.over_s)),
+            "members": d.members,
+            "waits": [[a, b] for a, b in d.waits.items()],
+            "where": d.where,
+            "cause": words(d.cause),
+            "tried": d.in_vain,
+            "end": outcome(d),
+            "cost_s": d.cost_s if math.isfinite(d.cost_s) else None,
+        }
+        for d in deadlocks(run)
+        if d.began_s <= window.end_s and d.over_s >= window.start_s
+    ]
 
 
 def _incidents(run: Run, window: Window) -> list[dict[str, Any]]:

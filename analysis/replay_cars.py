@@ -83,7 +83,7 @@ def jobs_shown(run: Run, floor: Floor, number: Mapping[str, int], window: Window
         "job_assigned": ms(seen["assigned_s"]),
         "job_lifted": ms(seen["lifted_s"]),
         "job_delivered": ms(seen["delivered_s"]),
-        "done": np.sort(ms(tasks["done_s"].dropna())),
+        "done": np.sort(ms(tasks.loc[tasks["state"] == "served", "done_s"])),
     }
 
 

@@ -31,7 +31,7 @@ class Floor:
     Attributes:
         index: number of each vertex by name.
         drawn: what the page draws, coordinates in centimetres.
-        places: role -> numbers of the vertices that have it.
+        places: role -> numbers of the vertices that have it, in the layout's order.
         bodies: where an AGV stands that came by a lane into a vertex: x, y (cm) and angle (0.1 degrees).
         streets: centre lines of the street but for its entry.
         xy: vertices in metres.
@@ -65,8 +65,7 @@ def read_floor(run: Run) -> Floor:
     """The floor of a recorded run."""
     names = run.vertices["vertex"].tolist()
     xy = run.vertices[["x_m", "y_m"]].to_numpy(dtype=np.float64)
-    roles: Numbered[Vertex, set[str]] = [set(text.split(",")) for text in run.vertices["roles"]]
-    places = {role: [v for v, has in numbered(roles) if role in has] for role in _ROLES}
+    places = _places(run.vertices)
     ends = run.edges[["tail", "head"]].to_numpy(dtype=np.int64)
     lines = _lines(run.shapes)
     lanes = {edge: line for edge, _, line in lines if edge >= 0}
@@ -79,13 +78,24 @@ def read_floor(run: Run) -> Floor:
         "xy": cm(xy).tolist(),
         "lanes": _drawn_lanes(xy, ends, lanes, spurs),
         "places": [
-            [role, v, *(bodies[v] if v in spurs and v in bodies else (*cm(xy[v]).tolist(), 0)), int(v in spurs)]
-            for role in _ROLES for v in places[role]
+            [role, v, *(bodies[v] if v in spurs and v in bodies else (*cm(xy[v]).tolist(), 0)), int(v in spurs), number]
+            for role in _ROLES for number, v in enumerate(places[role], start=1)
         ],
         "streets": [[part, cm(line).ravel().tolist()] for part, line in streets],
     }  # fmt: skip
     near = [line for part, line in streets if part != "entry"]
     return Floor({name: Vertex(v) for v, name in enumerate(names)}, drawn, places, bodies, near, xy)
+
+
+def _places(vertices: pd.DataFrame) -> dict[str, list[Vertex]]:
+    """Role -> vertices that have it, in the layout's order."""
+    found: dict[str, dict[int, Vertex]] = {role: {} for role in _ROLES}
+    texts: Numbered[Vertex, tuple[str, str]] = list(zip(vertices["roles"], vertices["numbers"], strict=True))
+    for v, (roles, numbers) in numbered(texts):
+        for role, number in zip(roles.split(","), numbers.split(","), strict=True):
+            if role:
+                found[role][int(number)] = v
+    return {role: [by_number[number] for number in sorted(by_number)] for role, by_number in found.items()}
 
 
 def _lines(shapes: pd.DataFrame) -> list[tuple[EdgeIndex, str, Floats]]:

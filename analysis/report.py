@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,11 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.checks import failed_checks, run_checks
-from analysis.deadlocks import deadlocks, draw, why
-from analysis.figures import figures, words
+from analysis.clock import Clock
+from analysis.deadlocks import deadlocks, draw, outcome, why
+from analysis.explain import longest_waits, wait_words
+from analysis.figures import figures
 from analysis.metrics import METRICS, Metrics, run_metrics
 from analysis.tables import Run, load_run
 from analysis.turned_away import turned_away, turned_away_words
+from analysis.words import counted, words
 from parking_sim.folders import INPUTS
 
 if TYPE_CHECKING:
@@ -51,7 +53,7 @@ def write_report(folder: Path) -> Path:
         OSError: if the folder can't be written.
     """
     run = load_run(folder)
-    metrics = run_metrics(run)
+    metrics, clock = run_metrics(run), Clock.of(run.meta)
     page = environment().get_template("report.html").render(
         run=run,
         title=page_title(run),
@@ -65,8 +67,11 @@ def write_report(folder: Path) -> Path:
         drawings=figures(run),
         stories=deadlock_stories(run)[:_STORIES],
         story_count=int(metrics["deadlocks_found"]),
-        pictures=[(clock(d.found_s), why(d), draw(d, run.vertices, run.edges)) for d in deadlocks(run)[:_PICTURES]],
+        pictures=[(clock.at(d.found_s), why(d), draw(d, run.vertices, run.edges)) for d in deadlocks(run)[:_PICTURES]],
         incidents=incidents(run)[:_STORIES],
+        held=run.meta.get("held") or (),
+        waits=[wait_words(wait, run, clock) for wait in longest_waits(run)],
+        clock=clock,
         thesis=[(key, number(metrics[key]), *METRICS[key]) for key in _THESIS],
         metrics=[(key, number(metrics[key]), *METRICS[key]) for key in METRICS],
         versions=sorted((run.meta.get("versions") or {}).items()),
@@ -126,7 +131,7 @@ def headlines(run: Run, metrics: Metrics) -> list[str]:
         )
     if len(run.agvs):
         lines.append(
-            f"{_count(len(run.agvs), 'AGV')} did this, busy {_percent(m['agv_busy_share'])} of the time; "
+            f"{counted(len(run.agvs), 'AGV')} did this, busy {_percent(m['agv_busy_share'])} of the time; "
             f"{_percent(m['empty_travel_share'])} of the driving was without a car."
         )
     lines.append(_deadlock_line(m))
@@ -134,38 +139,27 @@ def headlines(run: Run, metrics: Metrics) -> list[str]:
 
 
 def deadlock_stories(run: Run) -> list[dict[str, str]]:
-    """Each deadlock told from its events.
+    """Each deadlock as the cells of a table row.
 
     Args:
         run: a record.
 
     Returns:
-        For each: ``found`` (time), ``members``, ``where``, ``cause``, ``tried`` (stages that failed), ``stage`` (what
-        resolved it, empty if nothing did), ``lasted`` (seconds), in the order in which they were found.
+        For each: ``found`` (time), ``members``, ``where``, ``cause``, ``tried`` (stages that failed), ``outcome`` (what
+        resolved it, and the seconds since the wait began), in the order in which they were found.
     """
-    failed: dict[int, list[str]] = {}
-    for row in run.details("stage_failed").to_dict("records"):
-        failed.setdefault(int(row.get("deadlock", -1)), []).append(_reason(row))
-    solved = {int(row.get("deadlock", -1)): row for row in run.details("deadlock_resolved").to_dict("records")}
-    stories = []
-    for place, row in enumerate(run.details("deadlock_found").to_dict("records")):
-        number_ = int(row.get("deadlock", place))
-        end = solved.get(number_)
-        stories.append(
-            {
-                "found": clock(row["time_s"]),
-                "members": ", ".join(str(agv) for agv in row.get("members", [])),
-                "where": str(row["vertex"]),
-                "cause": words(row.get("cause", "")),
-                "tried": "; ".join(
-                    text if times == 1 else f"{text} × {times}"
-                    for text, times in Counter(failed.get(number_, [])).items()
-                ),
-                "stage": words(end["stage"]) if end else "",
-                "lasted": f"{end['cost_s']:.1f} s" if end else "",
-            }
-        )
-    return stories
+    clock = Clock.of(run.meta)
+    return [
+        {
+            "found": clock.at(d.found_s),
+            "members": ", ".join(map(str, d.members)),
+            "where": d.where,
+            "cause": words(d.cause),
+            "tried": "; ".join(d.in_vain),
+            "outcome": outcome(d),
+        }
+        for d in deadlocks(run)
+    ]
 
 
 def incidents(run: Run) -> list[tuple[str, str, str, str]]:
@@ -177,22 +171,16 @@ def incidents(run: Run) -> list[tuple[str, str, str, str]]:
     Returns:
         One row each, in the order of the record; none in a safe run.
     """
-    events = run.events[run.events["kind"].isin(["collision", "overlap"])]
+    events, clock = run.events[run.events["kind"].isin(["collision", "overlap"])], Clock.of(run.meta)
     return [
         (
-            clock(row["time_s"]),
+            clock.at(row["time_s"]),
             row["kind"],
             row["car"] or f"AGV {row['agv']}",
             f"{row['vertex']} {row['detail']}".strip(),
         )
         for row in events.to_dict("records")
     ]
-
-
-def clock(time_s: float) -> str:
-    """A time of the run as h:mm:ss."""
-    seconds = round(time_s)
-    return f"{seconds // 3600}:{seconds % 3600 // 60:02d}:{seconds % 60:02d}"
 
 
 def number(value: float | int) -> str:
@@ -224,20 +212,16 @@ def _percent(share: float) -> str:
     return f"{share * 100:.0f} %" if _known(share) else "an unknown share"
 
 
-def _count(n: int, what: str) -> str:
-    return f"{n:,} {what}{'' if n == 1 else 's'}"
-
-
 def _deadlock_line(m: Metrics) -> str:
     found, lost = int(m["deadlocks_found"]), int(m["deadlocks_unresolved"])
     if not found:
         return "No deadlock arose."
     if lost >= found:
-        return f"{_count(found, 'deadlock')} arose; none was resolved."
-    longest = f", the longest after {_span(m['deadlock_max_s'])}" if _known(m["deadlock_max_s"]) else ""
+        return f"{counted(found, 'deadlock')} arose; none was resolved."
+    longest = f", the longest {_span(m['deadlock_max_s'])} after its wait began" if _known(m["deadlock_max_s"]) else ""
     if lost > 0:
-        return f"{_count(found, 'deadlock')} arose; {found - lost} resolved{longest}; {lost} not resolved."
-    return f"{_count(found, 'deadlock')} arose, all resolved{longest}."
+        return f"{counted(found, 'deadlock')} arose; {found - lost} resolved{longest}; {lost} not resolved."
+    return f"{counted(found, 'deadlock')} arose, all resolved{longest}."
 
 
 def page_title(run: Run) -> str:
@@ -245,7 +229,7 @@ def page_title(run: Run) -> str:
     scenario = run.meta.get("scenario") or {}
     agvs = scenario.get("agvs", len(run.agvs))
     garage = run.meta.get("map") or scenario.get("garage") or run.name
-    parts = [*filter(None, [run.variant]), garage, _count(int(agvs), "AGV")]
+    parts = [*filter(None, [run.variant]), garage, counted(int(agvs), "AGV")]
     parts += [scenario[key] for key in ("planner",) if key in scenario]
     if "seed" in run.meta:
         parts.append(f"seed {run.meta['seed']}")
@@ -274,11 +258,6 @@ def _minutes(seconds: float) -> str:
 
 def _service(m: Metrics) -> list[tuple[str, list[str]]]:
     return [(label, [_minutes(m[f"{wait}_{q}_s"]) for q in _SERVICE_COLUMNS]) for wait, label in _SERVICE_ROWS]
-
-
-def _reason(row: Mapping[Any, Any]) -> str:
-    reason = f" ({row['reason']})" if isinstance(row.get("reason"), str) and row["reason"] else ""
-    return words(f"{row.get('stage', '')}{reason}")
 
 
 def _asked(scenario: Mapping[str, Any]) -> list[tuple[str, str]]:

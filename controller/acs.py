@@ -18,10 +18,12 @@ from controller.executor import Executor
 from controller.faults import CLOSING, FaultReport, Outages
 from controller.fleet import FREE_MODES, Agv
 from controller.garage import Garage, Job
+from controller.holds import Holds
 from controller.places import choose_slot
 from controller.planning import ControlOptions, Mask, Planning
 from controller.rules import Rules
 from controller.types import NO_AGV, NO_REQUEST, Action, AgvMode, AgvNumber, AgvState, Command, Log, Motion, Planner
+from controller.wait_log import WaitLog
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex, numbered
 
@@ -60,6 +62,7 @@ class Acs:
         executor: visiting orders and authorities.
         planning: when and what is planned, deadlock handling.
         costs: driving costs used for choices.
+        holds: why AGVs and requests make no progress.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -73,6 +76,9 @@ class Acs:
             setup.planner, setup.options, self.agvs, self.executor, setup.rules, self.costs, self.log
         )
         self.outages = Outages()
+        self.holds = Holds(setup.garage, self.agvs, self.executor, self.outages, self.costs)
+        long_steps = setup.options.ladder.stuck_steps
+        self._wait_log = WaitLog(self.holds, self.executor, self.agvs, long_steps, self.log)
         self._claims = Claims(setup.garage, self.agvs, self.executor, self.costs, setup.rules.lift_bay)
         self._attend: set[AgvNumber] = set()
         self._low: set[AgvNumber] = set()
@@ -109,6 +115,7 @@ class Acs:
         self._choose_bays()
         self.planning.step(step, self._blocked(), self._no_rest)
         self._commands += self.executor.grants(step)
+        self._wait_log.step(step)
         return self._commands
 
     # --- work at the goals ----------------------------------------------------------------------------------------

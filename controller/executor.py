@@ -53,6 +53,7 @@ class Authority:
         acting: that action.
         turned_to: vertex it has turned towards, -1 when it has not.
         since: step of the last change of ``reached``.
+        acted: step at which the last action ended.
         loaded: it carries a car.
         able: it takes orders; nothing is granted to one that does not.
     """
@@ -67,6 +68,7 @@ class Authority:
     acting: Action | None = None
     turned_to: Vertex = NO_VERTEX
     since: int = 0
+    acted: int = 0
     loaded: bool = False
     able: bool = True
 
@@ -177,7 +179,7 @@ class Executor:
                 a.standing = standing
                 self._due.add(s.agv)
             if standing and 0 <= a.acting_until <= step:
-                a.acting_until, a.acting = -1, None
+                a.acting_until, a.acting, a.acted = -1, None, step
                 finished.append(s.agv)
                 self._due.add(s.agv)
         return changed, finished

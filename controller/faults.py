@@ -58,15 +58,21 @@ class Outages:
         immobile: AGVs that cannot move.
         off_duty: AGVs that get no task.
         closed: vertices that nobody may enter.
+        running: the faults that have begun and not ended, by number.
     """
 
     immobile: Counter[AgvNumber] = field(default_factory=Counter)
     off_duty: Counter[AgvNumber] = field(default_factory=Counter)
     closed: frozenset[Vertex] = frozenset()
+    running: dict[int, FaultReport] = field(default_factory=dict)
     _closed: Counter[Vertex] = field(default_factory=Counter)
 
     def take(self, fault: FaultReport) -> None:
         """Take note of a fault that begins or ends."""
+        if fault.started:
+            self.running[fault.number] = fault
+        else:
+            self.running.pop(fault.number, None)
         one = 1 if fault.started else -1
         for count, kinds in ((self.immobile, IMMOBILE), (self.off_duty, OFF_DUTY)):
             if fault.kind in kinds:
@@ -74,6 +80,14 @@ class Outages:
         if fault.vertices:
             _add(self._closed, fault.vertices, one)
             self.closed = frozenset(self._closed)
+
+    def holding(self, agv: int) -> tuple[int, ...]:
+        """Numbers of the faults because of which an AGV cannot move."""
+        return tuple(n for n, fault in self.running.items() if fault.kind in IMMOBILE and agv in fault.agvs)
+
+    def closing(self, vertex: int) -> tuple[int, ...]:
+        """Numbers of the faults that close a vertex."""
+        return tuple(n for n, fault in self.running.items() if vertex in fault.vertices)
 
 
 def _add(count: Counter[_Number], keys: tuple[_Number, ...], one: int) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.costs import Costs
+from controller.deadlock.cut_off import find_cut_off
 from controller.deadlock.ladder import Ladder, LadderLimits
 from controller.deadlock.waits import Progress, WaitGraph, wait_graph
 from controller.executor import Executor
@@ -264,19 +265,10 @@ class Planning:
     def _watch(self, step: int, problem: PlanningProblem) -> None:
         """Look for deadlock among those who really wait, adapt the window, and have deadlocks resolved."""
         waits = wait_graph(self._executor, self._agvs, self._costs)
-        self._progress.update(step, self._cut_off(problem))
+        cut_off = find_cut_off(self._executor, self._agvs, self._costs, problem.blocked)
+        self._progress.update(step, cut_off.by_fault)
         self._adapt(waits)
-        self._ladder.step(step, waits, problem)
-
-    def _cut_off(self, problem: PlanningProblem) -> set[AgvNumber]:
-        """AGVs whose goal is closed, or can't be reached because of closed vertices and AGVs that cannot move."""
-        ex = self._executor
-        if not ex.closed and not any(agv.immobile for agv in self._agvs):
-            return set()
-        at = {agv.number: ex.agvs[agv.number].last for agv in self._agvs if not agv.immobile}
-        ways = {n: self._costs.around(v, problem.blocked) for n, v in at.items()}
-        goals = {agv.number: agv.goal for agv in self._agvs}
-        return {n for n, steps in ways.items() if goals[n] in ex.closed or steps[goals[n]] >= FOREVER}
+        self._ladder.step(step, waits, problem, cut_off)
 
     def _adapt(self, waits: WaitGraph) -> None:
         o = self._options

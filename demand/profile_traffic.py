@@ -55,6 +55,10 @@ class ProfileTraffic(Workload):
         stays = Stays(initial, 3600 * (np.concatenate((there, arrive)) - begin), 3600 * (leave - begin))
         return demand_of(stays, 3600 * (end - begin))
 
+    def day_start_h(self, base_dir: Path) -> float:
+        """The hour of the day at which the run starts."""
+        return self._stretch(find_profile(self.name, base_dir))[0]
+
     @property
     def file_key(self) -> str:
         """The profile's file, if it has one."""

@@ -54,6 +54,17 @@ class Workload(BaseModel, ABC):
             InputError: the options don't fit the garage, or a file they name is bad.
         """
 
+    def day_start_h(self, base_dir: Path) -> float | None:
+        """The hour of the day at which the run starts.
+
+        Args:
+            base_dir: folder from which relative paths in the options count.
+
+        Returns:
+            The hour, 0 to 24; None for demand without a time of day, as most profiles have it.
+        """
+        return None
+
     @property
     def file_key(self) -> str:
         """The key that names the file from which the demand is read; "" if there is none."""

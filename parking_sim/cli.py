@@ -24,6 +24,7 @@ from parking_sim.reproduce import app as reproduce_app
 from sumo_nets.wording import one_of
 
 if TYPE_CHECKING:
+    from analysis.clock import Clock
     from parking_sim.simulation import Progress, Summary
 
 #: Exit codes: a run did not finish its work, or a check of it failed; bad input; Ctrl-C.
@@ -134,14 +135,19 @@ def run(
 @app.command("replay")
 def replay_(
     folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
-    start: Annotated[str | None, typer.Option("--from", help="Show from this time on: seconds or h:mm:ss.")] = None,
+    start: Annotated[
+        str | None,
+        typer.Option("--from", help="Show from here on: seconds, or h:mm:ss of its clock."),
+    ] = None,
     end: Annotated[str | None, typer.Option("--to", help="Show up to this time.")] = None,
 ) -> None:
     """Write the replay of a run: one HTML file to watch it in a browser, offline."""
-    from analysis.replay import write_replay
+    from analysis.clock import Clock
+    from analysis.replay import load_replayed, write_replay
 
+    clock = Clock.of(load_replayed(folder).meta)
     try:
-        print(write_replay(folder, _seconds("--from", start), _seconds("--to", end)))
+        print(write_replay(folder, _moment("--from", start, clock), _moment("--to", end, clock)))
     except OSError as error:
         raise InputError(f"{folder}: can't be written: {error.strerror}") from None
 
@@ -321,11 +327,11 @@ def draw_net(
 @app.command()
 def explain(
     folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
-    number: Annotated[int | None, typer.Argument(help="Number of a deadlock, from 0; default: all.")] = None,
+    number: Annotated[int | None, typer.Argument(help="Number of a deadlock, from 0; default: the whole run.")] = None,
     svg: Annotated[Path | None, typer.Option(help="Draw this deadlock into a file.")] = None,
 ) -> None:
-    """Explain a run's deadlocks: who held what and waited for whom, why, what resolved it, seconds lost."""
-    from analysis.deadlocks import explain as explanation
+    """Explain a run: what held it at its end, its deadlocks and what resolved them, and the longest waits of AGVs."""
+    from analysis.explain import explain as explanation
 
     print(explanation(folder, number, svg))
 
@@ -419,18 +425,12 @@ def _progress_bar(name: str, quiet: bool) -> Iterator[Callable[[Progress], None]
         yield lambda progress: bars.update(name, progress)
 
 
-def _seconds(option: str, text: str | None) -> float | None:
-    """A time of the run: seconds, m:ss or h:mm:ss."""
-    if text is None:
-        return None
-    parts = text.split(":")
+def _moment(option: str, text: str | None, clock: Clock) -> float | None:
+    """Simulated seconds of a moment given on the command line."""
     try:
-        values = [float(part) for part in parts]
-    except ValueError:
-        values = []
-    if not 1 <= len(values) <= 3 or not all(math.isfinite(value) and value >= 0 for value in values):
-        raise InputError(f"{option}: {text!r}: give seconds or h:mm:ss")
-    return sum(value * 60.0**k for k, value in enumerate(reversed(values)))
+        return None if text is None else clock.seconds(text)
+    except InputError as error:
+        raise InputError(f"{option}: {error}") from None
 
 
 def _write_pages(folder: Path, report: bool, replay: bool) -> dict[str, Path]:
@@ -466,6 +466,8 @@ def _print_summary(summary: Summary, folder: Path, pages: Mapping[str, Path]) ->
         if isinstance(value, int | float) and not math.isnan(value):
             print(f"  {words:26} {value:.6g}")
     print(f"  {turned_away_words(turned_away(load_run(folder).tasks))}")
+    for line in summary.held:
+        print(f"held: {line}")
     print(f"record: {folder}")
     for what, page in pages.items():
         print(f"{what}: {page}")

@@ -132,6 +132,7 @@ _SCHEMA: Mapping[str, tuple[tuple[str, str, str, str], ...]] = {
         ("x_m", "DOUBLE", "m", "position to the east"),
         ("y_m", "DOUBLE", "m", "position to the north"),
         ("roles", "VARCHAR", "", "what it is for (slot, bay, home, charger, refuge), joined by commas; empty: aisle"),
+        ("numbers", "VARCHAR", "", "for each role its number among the places of that role, from 1, in layout order"),
     ),
     "edges": (
         ("tail", "INTEGER", "", "row number in vertices (from 0) where the edge begins"),
@@ -171,10 +172,17 @@ KINDS: Mapping[str, str] = {
     "plan_rejected": "a plan was refused by the executor's check: reason",
     "deadlock_found": "AGVs wait for each other or come no nearer to their goals: deadlock (number), members (AGV "
     "numbers), cause (ring, idle or stuck), waits (AGV -> AGV it waits for), wants (AGV -> name of the next vertex), "
-    "holds (AGV -> names of its vertices), goals (AGV -> name)",
+    "holds (AGV -> names of its vertices), goals (AGV -> name), since_s (when the wait began)",
     "deadlock_resolved": "a deadlock is over: deadlock, members, cause, stage (what resolved it), "
     "cost_s (seconds since the wait began)",
-    "stage_failed": "a stage of the resolution made no progress: deadlock, stage, reason",
+    "obstruction_found": "an AGV that a fault cuts off from its goal stands in the way of others: obstruction "
+    "(number), and the keys of deadlock_found but for deadlock",
+    "obstruction_resolved": "the others have got on: obstruction, members, cause, stage, cost_s",
+    "stage_failed": "a stage of a deadlock's resolution made no progress: deadlock, stage, reason",
+    "held": "an AGV has waited for control.stuck_s, or the cause of this wait has changed: cause (one of "
+    "controller.holds.Cause), chain (AGV numbers: it waits for the first, that one for the next), faults (numbers at "
+    "the root), request (number, -1 for none), since_s (when the wait began); its vertex is the place concerned",
+    "held_end": "a wait that was held is over: cause (the last one), waited_s",
     "charge_start": "an AGV starts to charge: soc",
     "charge_end": "an AGV ends charging: soc",
     "grant": "an AGV may drive on (recorded on request): vertices",
@@ -201,6 +209,7 @@ META: Mapping[str, tuple[str, str]] = {
     "step_s": ("s", "simulated seconds a planning step lasts"),
     "sumo_start_s": ("s", "SUMO's clock when the run's began: the AGVs stand by then; null without SUMO"),
     "simulated_s": ("s", "simulated seconds"),
+    "day_start_h": ("h", "hour of the day at which the run starts; null if the demand has no time of day"),
     "tasks_wanted": ("tasks", "tasks the scenario asks for"),
     "sumo_collisions": ("", "collisions SUMO reported"),
     "footprint_overlaps": ("", "pairs of bodies seen to overlap by the independent check"),
@@ -213,6 +222,7 @@ META: Mapping[str, tuple[str, str]] = {
     "cars_in_transit": ("cars", "cars in the street, at bays and on AGVs at the end"),
     "wall_s": ("s", "wall-clock seconds: total, and its parts by name"),
     "witnesses": ("", "witness -> facts compared with SUMO's outputs, how many are wrong, and the first in words"),
+    "held": ("", "what holds the work that is still open at the end, one sentence for each cause"),
     "audit": ("", "what the garage's own count of cars found wrong, in words; empty if nothing"),
     "digest": ("", "table -> SHA-256 of its rows without wall-clock columns; added by the recorder"),
 }
@@ -356,12 +366,12 @@ class Recorder:
 
     def floor(self, graph: Graph) -> None:
         """The garage, once per run: with it a record can be drawn and replayed by itself."""
-        roles: Numbered[Vertex, list[str]] = [[] for _ in graph.names]
+        roles: Numbered[Vertex, list[tuple[str, str]]] = [[] for _ in graph.names]
         for role, vertices in graph.roles.items():
-            for v in vertices:
-                roles[v].append(role)
+            for number, v in enumerate(vertices, start=1):
+                roles[v].append((role, str(number)))
         self._rows["vertices"] = [
-            (name, float(x), float(y), ",".join(has))
+            (name, float(x), float(y), ",".join(role for role, _ in has), ",".join(number for _, number in has))
             for name, (x, y), has in zip(graph.names, graph.xy, roles, strict=True)
         ]
         self._rows["edges"] = list(zip(graph.tail.tolist(), graph.head.tolist(), graph.length_m.tolist(), strict=True))

@@ -20,6 +20,7 @@ from parking_sim.folders import clear_run
 from parking_sim.inputs import Inputs, kept_net, read_inputs, write_inputs
 from parking_sim.journal import FLUSH_S, Journal
 from parking_sim.plants import CarAtBay
+from parking_sim.plants.faulty import FaultyPlant
 from parking_sim.record import AgvRow, Recorder, TaskRow
 from parking_sim.versions import code_version, versions
 from sumo_nets.numbering import NO_VERTEX, Numbered, NumberedList, Vertex, numbered
@@ -28,8 +29,12 @@ if TYPE_CHECKING:
     from parking_sim.footprint import FootprintCheck
     from sumo_nets.graph import Graph
 
-#: Simulated seconds without any task done or vertex granted, with work to do, after which a run is given up.
+#: Simulated seconds without any task done or vertex granted, with work to do, after which a run is given up, unless a
+#: fault is the reason and will end.
 STALLED_S = 7200.0
+
+#: Simulated seconds between two looks at whether a run in which nothing moves can go on.
+LOOK_S = 10.0
 
 #: Wall-clock seconds between two calls of ``progress``.
 PROGRESS_S = 0.2
@@ -56,12 +61,14 @@ class Summary:
         metrics: see ``analysis.metrics.METRICS``.
         folder: where the record is, None if none was written.
         failed: checks that failed, one line each; see ``analysis.checks``.
+        held: what holds the work that is still open, one sentence for each cause.
     """
 
     status: str
     metrics: Mapping[str, Any]
     folder: Path | None
     failed: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
 
 
 def simulate(
@@ -132,12 +139,13 @@ class _Run:
         self._activity: Numbered[AgvNumber, dict[str, int]] = [dict.fromkeys(_ACTIVITIES, 0) for _ in self.acs.agvs]
         self._wall = dict.fromkeys(("plant", "control", "planning", "check", "record"), 0.0)
         self._last_task = -1
-        self._moved = (0, 0)
+        self._moved = (0, 0, 0)
         self._moved_s = 0.0
         self._ready: list[Job] = []
         no_plan: tuple[int, tuple[Vertex, ...]] = (0, ())
         self._plans: NumberedList[AgvNumber, tuple[int, tuple[Vertex, ...]]] = [no_plan] * len(self.acs.agvs)
         self._overlaps = self._turns = 0
+        self._look_every = max(1, round(LOOK_S / self.step_s))
         self._log_grants = world.scenario.record.grants
         self._soc: NumberedList[AgvNumber, float] = [1.0] * len(self.acs.agvs)
         self._drawn: NumberedList[AgvNumber, float] = [0.0] * len(self.acs.agvs)
@@ -158,6 +166,7 @@ class _Run:
         plant = self.world.plant(outputs, gui, fcd)
         self._plant_start_s = plant.time_s
         self.plant = self.world.with_faults(plant)
+        self._faults = self.plant if isinstance(self.plant, FaultyPlant) else None
         self._sumo: Any = plant if self.world.scenario.plant == "sumo" else None
         if self._sumo is not None:
             from parking_sim.footprint import FootprintCheck
@@ -184,7 +193,7 @@ class _Run:
                     return "finished"
                 if self.now_s >= end_s:
                     return "time_limit"
-                if self._stalled():
+                if self._stalled(end_s):
                     return "stalled"
                 self._control()
                 if self.step % sample_every == 0:
@@ -290,11 +299,28 @@ class _Run:
         idle = all(agv.mode is AgvMode.IDLE for agv in self.acs.agvs)
         return idle or self.step - self._last_task >= self.world.rules.run_on_steps
 
-    def _stalled(self) -> bool:
-        mark = (sum(self.acs.executor.moves), self.garage.unfinished)
+    def _stalled(self, end_s: float) -> bool:
+        """Nothing has moved for very long, or nothing can happen any more before the end."""
+        mark = (sum(self.acs.executor.moves), self.garage.unfinished, sum(a.acted for a in self.acs.executor.agvs))
         if mark != self._moved or self.garage.unfinished == 0:
             self._moved, self._moved_s = mark, self.now_s
-        return self.now_s - self._moved_s >= STALLED_S
+        quiet_s = self.now_s - self._moved_s
+        if quiet_s < self.world.scenario.control.stuck_s + 2 * LOOK_S or self.step % self._look_every:
+            return False
+        if quiet_s >= STALLED_S:
+            return not self._something_ends(end_s)
+        # with a duration the hours asked for are simulated whole: waits and rates count to their end
+        return self.world.scenario.duration_s is None and not self._pending and self._held_for_ever(end_s)
+
+    def _something_ends(self, end_s: float) -> bool:
+        """An action under way, or a fault that holds an AGV or a request, will end before the run does."""
+        acting = any(a.acting_until > self.step for a in self.acs.executor.agvs)
+        ending = self._faults.ending(end_s) if self._faults is not None else frozenset[int]()
+        return acting or any(ending.intersection(hold.faults) for hold in self.acs.holds.of_all())
+
+    def _held_for_ever(self, end_s: float) -> bool:
+        still = self._faults.still(end_s) if self._faults is not None else frozenset[AgvNumber]()
+        return still is not None and self.acs.holds.for_ever(still)
 
     # --- watching -------------------------------------------------------------------------------------------------
 
@@ -376,7 +402,8 @@ class _Run:
             self.recorder.task(self._task_row(job))
         for i, agv in numbered(self.acs.agvs):
             self.recorder.agv(self._agv_row(i, agv.tasks))
-        meta = self._meta(status)
+        held = self._open_work(status)
+        meta = {**self._meta(status), "held": held}
         from analysis.checks import failed_checks, run_checks
         from analysis.metrics import run_metrics, write_metrics
         from analysis.tables import recorded_run
@@ -390,7 +417,27 @@ class _Run:
             if self.journal is not None:
                 self.journal.close(finished=True)
             metrics = write_metrics(out)
-        return Summary(status, metrics, out, failed_checks(run_checks(meta, metrics)))
+        return Summary(status, metrics, out, failed_checks(run_checks(meta, metrics)), held)
+
+    def _open_work(self, status: str) -> tuple[str, ...]:
+        """What holds the work that is open at the end, in words; of a run that goes on no further than its time what is
+        wrong only."""
+        if status == "finished" or not self.garage.unfinished:
+            return ()
+        from analysis.faults import fault_spans
+        from analysis.holds import Held, ending
+        from analysis.tables import recorded_run
+
+        jobs, names = self.garage.jobs, self.names
+        holds = [
+            Held(
+                hold.agv, hold.request, jobs[hold.request].car if hold.request >= 0 else "", hold.cause.value,
+                hold.chain, hold.faults, names[hold.vertex] if hold.vertex >= 0 else "",
+            )
+            for hold in self.acs.holds.of_all()
+        ]  # fmt: skip
+        shown = [held for held in holds if status == "stalled" or not held.is_ordinary]
+        return tuple(ending(shown, fault_spans(recorded_run(self.recorder, {})), self.now_s))
 
     def _task_row(self, job: Job) -> TaskRow:
         def name(vertex: Vertex) -> str:
@@ -423,6 +470,7 @@ class _Run:
             "map": self.world.net.name,
             "step_s": self.step_s,
             "sumo_start_s": self._plant_start_s if self._sumo is not None else None,
+            "day_start_h": scenario.workload.day_start_h(scenario.base_dir),
             "simulated_s": self.now_s,
             "tasks_wanted": self.world.demand.total,
             "sumo_collisions": self._sumo.collisions if self._sumo is not None else 0,

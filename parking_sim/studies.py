@@ -235,18 +235,16 @@ def _check_finite(options: Mapping[str, float | None]) -> None:
 
 
 def _where(name: str, scenario: Scenario) -> str:
+    from analysis.clock import hour_text
     from demand.profile_traffic import ProfileTraffic
 
     traffic = scenario.workload
     if not isinstance(traffic, ProfileTraffic):
         return f"{name} with {getattr(traffic, 'kind', 'its')} traffic"
-    begin = traffic.start_h or 0.0
+    begin = traffic.day_start_h(scenario.base_dir)
     times = "" if traffic.scale == 1 else f" times {traffic.scale:g}"
-    return f"{name}, {Path(traffic.name).stem}{times} from {_clock(begin)} to {_clock(begin + (traffic.hours or 0.0))}"
-
-
-def _clock(hour: float) -> str:
-    return f"{int(hour)}:{round(hour % 1 * 60):02}"
+    hours = f"{hour_text(begin)} to {hour_text(begin + (traffic.hours or 0.0))}"
+    return f"{name}, {Path(traffic.name).stem}{times} from {hours}"
 
 
 def _sizing_rows(sizing: Sizing) -> list[dict[str, str]]:
@@ -320,12 +318,14 @@ def _report(folder: Path, quiet: bool, answers: Sequence[str] = (), drawings: Se
 
 
 def _hour_rows(profile: Profile) -> list[dict[str, str]]:
+    from analysis.clock import hour_text
+
     rows = []
     for begin, end in zip(profile.hours, profile.hours[1:], strict=False):
         rows.append(
             {
-                "from": _clock(begin),
-                "to": _clock(end),
+                "from": hour_text(begin),
+                "to": hour_text(end),
                 "arrive, % of slots": f"{100 * profile.arrivals_between(begin, end):.1f}",
                 "leave, % of slots": f"{100 * profile.departures_between(begin, end):.1f}",
                 "occupied at the end, %": f"{100 * profile.occupancy_at(end):.1f}",

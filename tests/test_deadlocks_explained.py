@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from analysis.clock import Clock
 from analysis.deadlocks import deadlocks, draw, story, why
 from analysis.report import write_report
 from analysis.tables import load_run
@@ -39,14 +40,15 @@ def test_who_held_what_why_and_at_what_cost(folder):
     first, second = deadlocks(load_run(folder))
     assert (first.holds[0], first.wants[0], first.waits[0]) == (("a", "b"), "c", 1)
     assert (first.stage, first.cost_s, first.plans_failed) == ("pull_over", 30.0, 1)
-    assert first.faults == ("blocked (d)",)
+    assert first.faults == ("d is blocked (fault 0)",)
     assert second.stage == ""
-    told = story(first)
+    told = story(first, Clock())
     assert "AGV 0 held a, b, on the way to d, wanted c and waited for AGV 1" in told
-    assert "tried in vain: leader: no way for any leader (x2)" in told
-    assert "resolved by pull over after 30 s" in told
-    assert "Out of order meanwhile: blocked (d)" in why(first)
-    assert "not resolved" in story(second)
+    assert "tried in vain: leader: no way for any leader × 2" in told
+    assert "found at 0:01:10" in told
+    assert "resolved by pull over, 30 s after the wait began" in told
+    assert "Out of order meanwhile: d is blocked (fault 0)" in why(first)
+    assert "not resolved" in story(second, Clock())
 
 
 def test_the_picture_shows_each_agv_and_an_arrow_to_what_it_wanted(folder):

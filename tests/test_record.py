@@ -82,7 +82,7 @@ def test_column_dictionary_matches_the_files(recorder: Recorder, tmp_path: Path)
 
 def test_the_floor_is_in_the_record() -> None:
     recorder = filled()
-    assert recorder.rows("vertices") == [("a", 0.0, 0.0, "bay,home"), ("b", 5.0, 0.0, "")]
+    assert recorder.rows("vertices") == [("a", 0.0, 0.0, "bay,home", "1,1"), ("b", 5.0, 0.0, "", "")]
     assert recorder.rows("edges") == [(0, 1, 5.0), (1, 0, 5.0)]
 
 

@@ -47,7 +47,7 @@ def little_run() -> Run:
     recorder.event(100.0, "deadlock_found", vertex="c", members=[0, 1], cause="head_on", deadlock=0, waits={"0": 1})
     recorder.event(160.0, "stage_failed", deadlock=0, stage="leader", reason="no_way")
     recorder.event(
-        220.0, "deadlock_resolved", deadlock=0, members=[0, 1], cause="head_on", stage="pull_over", cost_s=120
+        220.0, "deadlock_resolved", deadlock=0, members=[0, 1], cause="head_on", stage="pull_over", cost_s=140
     )
     recorder.task(
         TaskRow(0, "retrieve", "p1", "served", "", 0, "d", "a", requested_s=5.0, ready_s=5.0, assigned_s=10.0,
@@ -159,8 +159,9 @@ def test_initial_cars_deadlocks_and_jobs() -> None:
     assert columns["stay_from"][columns["stay_place"].index(0)] == 0
     assert columns["stay_to"][columns["stay_place"].index(0)] == 20_000
     (lock,) = head["deadlocks"]
-    assert (lock["from"], lock["to"], lock["members"]) == (100_000, 220_000, [0, 1])
-    assert (lock["cause"], lock["stage"], lock["tried"]) == ("head on", "pull over", ["leader"])
+    assert (lock["from"], lock["found"], lock["to"], lock["members"]) == (80_000, 100_000, 220_000, [0, 1])
+    assert (lock["cause"], lock["tried"]) == ("head on", ["leader: no way"])
+    assert (lock["end"], lock["cost_s"]) == ("resolved by pull over, 140 s after the wait began", 140.0)
     assert (columns["job_lifted"], columns["job_delivered"], columns["done"]) == ([20_000], [250_000], [260_000])
     assert columns["plan_path"] == [3, 2, 1, 0, 2, 1, 0]
 
@@ -171,7 +172,7 @@ def test_window_holds_what_lies_in_it(folder: Path) -> None:
     assert (columns["time"][0], columns["time"][-1]) == (300_000, 600_000)
     assert min(columns["stay_to"]) >= 300_000
     assert max(columns["stay_from"]) <= 600_000
-    assert head["note"].startswith("0:05:00 to 0:10:00 of 0:")
+    assert head["note"].startswith("0:05:00 to 0:10:00 of a run to 0:")
 
 
 def test_long_runs_are_thinned_to_the_limit(folder: Path) -> None:

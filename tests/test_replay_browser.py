@@ -239,11 +239,11 @@ def test_reversal_is_no_spin_and_turns_take_the_short_way(little: Browser) -> No
 
 
 def test_deadlock_is_marked_and_told(little: Browser) -> None:
-    little.run("replay.seek(90000)")
+    little.run("replay.seek(70000)")
     before = drawn(little)
     bar = little.run("document.getElementById('track').toDataURL()")
     little.key("n")
-    assert little.run("replay.time") == 100_000
+    assert little.run("replay.time") == 80_000, "the beginning of the wait"
     assert drawn(little) != before
     agv = little.run("replay.drawn.agvs[0]")
     ring = pixel(little, agv["x"], agv["y"] + 3.5)
@@ -253,7 +253,7 @@ def test_deadlock_is_marked_and_told(little: Browser) -> None:
     little.wait("document.getElementById('list').textContent.includes('in a deadlock')")
     little.run("document.querySelector('[data-tab=deadlocks]').click()")
     story = little.run("document.getElementById('list').textContent")
-    for words in ("0:01:40", "AGV 0, 1 at c", "head on", "in vain: leader", "pull over, after 120 s"):
+    for words in ("0:01:40", "AGV 0, 1 at c", "head on", "in vain: leader: no way", "by pull over, 140 s after"):
         assert words in story
     little.run("replay.seek(230000)")
     assert pixel(little, little.run("replay.drawn.agvs[0].x"), 3.5)[3] == 0

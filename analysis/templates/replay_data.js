@@ -134,6 +134,7 @@ class Recording {
     return {
       done: lastAt(c.done, time) + 1,
       queue: c.line_queue[k] ?? 0,
+      spilled: c.line_spilled[k] ?? 0,
       waiting: c.line_waiting[k] ?? 0,
       parked: c.line_parked[k] ?? 0,
     };
@@ -145,9 +146,11 @@ class Recording {
   }
 }
 
-/** A time of the run as h:mm:ss. */
-function clock(time) {
-  const s = Math.floor(time / 1000 + 1e-6);
+/** A time of the run as its clock shows it: h:mm:ss, of the day where the demand has a time of day; see clock.py. */
+function clock(time, { name, offset }) {
+  const whole = Math.floor((time + offset) / 1000 + 1e-6), days = name === "time of day" ? Math.floor(whole / 86400) : 0;
+  const s = whole - days * 86400;
   const two = (n) => String(n).padStart(2, "0");
-  return `${Math.floor(s / 3600)}:${two(Math.floor(s / 60) % 60)}:${two(s % 60)}`;
+  const shown = `${Math.floor(s / 3600)}:${two(Math.floor(s / 60) % 60)}:${two(s % 60)}`;
+  return days ? `day ${days + 1}, ${shown}` : shown;
 }

@@ -117,8 +117,8 @@ class Floor {
     for (const { tail, head, points } of this.lanes.filter(({ kind }) => kind === SPUR)) {
       this.spurs.set(`${tail} ${head}`, points.slice(1, -1)).set(`${head} ${tail}`, points.slice(1, -1).reverse());
     }
-    this.places = head.floor.places.map(([role, vertex, x, y, angle, spur]) => ({
-      role, vertex, x: x / 100, y: y / 100, angle: (angle / 1800) * Math.PI, spur,
+    this.places = head.floor.places.map(([role, vertex, x, y, angle, spur, number]) => ({
+      role, vertex, x: x / 100, y: y / 100, angle: (angle / 1800) * Math.PI, spur, number,
     }));
     this.placeOf = new Map(this.places.map((place) => [place.vertex, place]));
     this.streets = head.floor.streets.map(([part, flat]) => ({ part, points: metres(flat) }));
@@ -195,11 +195,9 @@ class Floor {
   }
 
   placeNames() {
-    const letters = { bay: "B", charger: "C", refuge: "R" }, count = {};
-    return this.places.filter(({ role }) => letters[role]).map((place) => {
-      count[place.role] = (count[place.role] ?? 0) + 1;
-      return { ...place, text: letters[place.role] + count[place.role] };
-    });
+    const letters = { bay: "B", charger: "C", refuge: "R" };
+    return this.places.filter(({ role }) => letters[role])
+      .map((place) => ({ ...place, text: letters[place.role] + place.number }));
   }
 
   draw(ctx, view, colors) {

@@ -36,6 +36,7 @@ class Player {
   start() {
     element("note").textContent = this.head.note + (this.head.status ? ` · ${this.head.status}` : "");
     element("message").hidden = true;
+    element("clock").title = this.head.clock.name;
     this.setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
     this.measure();
     this.fit();
@@ -107,7 +108,7 @@ class Player {
     this.redraw();
   }
 
-  /** The next or previous deadlock's start. */
+  /** The beginning of the next or previous deadlock's wait. */
   jump(by) {
     const times = this.head.deadlocks.map((lock) => lock.from).sort((a, b) => a - b);
     const found = by > 0 ? times.find((t) => t > this.time + 1) : times.reverse().find((t) => t < this.time - 1);
@@ -170,7 +171,7 @@ class Player {
     this.scene.draw(this.contexts.scene, this.view, this.colors, this.time, this.followed);
     this.timeBar.draw(this.contexts.track, this.canvases.track);
     this.panel.refreshSoon();
-    element("clock").textContent = clock(this.time);
+    element("clock").textContent = clock(this.time, this.head.clock);
     this.frames.count++;
     this.frames.drawMs += performance.now() - begun;
   }
@@ -233,7 +234,7 @@ class TimeBar {
     this.drawCaption(ctx, width);
   }
 
-  /** A tinted band from finding to end, and a solid foot; where deadlocks overlap it is no darker. */
+  /** A tinted band from the beginning of the wait to its end, and a solid foot; where deadlocks overlap it is no darker. */
   drawDeadlocks(ctx, width) {
     const { head, colors } = this.player, bands = new Path2D(), feet = new Path2D();
     for (const lock of head.deadlocks) {
@@ -300,11 +301,13 @@ class TimeBar {
     const step = steps.find((s) => (width * s) / (head.end - head.start) >= 62) ?? steps[steps.length - 1];
     ctx.fillStyle = colors.soft;
     ctx.font = "11px system-ui, sans-serif";
-    for (let t = Math.ceil(head.start / step) * step; t <= head.end; t += step) {
+    const { offset } = head.clock;
+    for (let t = Math.ceil((head.start + offset) / step) * step - offset; t <= head.end; t += step) {
       const x = this.x(t, width);
       ctx.fillRect(x, this.base, 1, 4);
       ctx.textAlign = x < 20 ? "left" : x > width - 20 ? "right" : "center";
-      ctx.fillText(step < 60000 ? clock(t) : clock(t).slice(0, -3), x, this.base + 15);
+      const text = clock(t, head.clock).replace(/^day \d+, /, "");
+      ctx.fillText(step < 60000 ? text : text.slice(0, -3), x, this.base + 15);
     }
   }
 
@@ -315,9 +318,9 @@ class TimeBar {
     const time = this.time(px), near = (this.time(6) - this.time(0));
     const { head, recording } = this.player;
     const counts = recording.counts(time);
-    const lines = [`${clock(time)}   ${counts.parked} parked, ${counts.queue + counts.waiting} waiting`];
+    const lines = [`${clock(time, head.clock)}   ${counts.parked} parked, ${counts.queue + counts.waiting} waiting`];
     const lock = head.deadlocks.find(({ from, to }) => from - near <= time && time <= Math.max(to, from + near));
-    if (lock) lines.push(`deadlock of AGV ${lock.members.join(", ")}: ${lock.stage || "not resolved"}`);
+    if (lock) lines.push(`deadlock of AGV ${lock.members.join(", ")}: ${lock.end}`);
     const incident = head.incidents.find((mark) => Math.abs(mark.time - time) < near);
     if (incident) lines.push(`${incident.kind} ${incident.who} ${incident.what}`.trim());
     tip.textContent = lines.join("\n");
@@ -423,16 +426,15 @@ class Panel {
   deadlockRows({ time }) {
     return this.player.head.deadlocks.map((lock) => ({
       color: this.player.colors.lock,
-      name: clock(lock.from),
+      name: clock(lock.found, this.player.head.clock),
       text: this.story(lock),
       seek: lock.from,
       pressed: lock.from <= time && time < lock.to,
     }));
   }
 
-  story({ members, where, cause, tried, stage, from, to }) {
-    const failed = tried.length ? `; in vain: ${[...new Set(tried)].join(", ")}` : "";
-    const end = to < NEVER ? `${stage}, after ${Math.round((to - from) / 1000)} s` : "not resolved";
+  story({ members, where, cause, tried, end }) {
+    const failed = tried.length ? `; in vain: ${tried.join(", ")}` : "";
     return `AGV ${members.join(", ")}${where ? ` at ${where}` : ""}: ${cause}${failed} → ${end}`;
   }
 

@@ -14,6 +14,9 @@ A resolution is a plan whose leader reaches its goal. It is carried out to its e
 again, so that a window cannot undo it. When no stage finds one, or one makes no progress, the deadlock stays open and
 the ladder is climbed again with another leader, until its members move on. The thesis's own program lacks this demand
 for progress.
+
+An *obstruction* is resolved in the same way, but is not counted as a deadlock: a fault is the reason for it. One of its
+members is under tow, or cut off by a fault, and stands in the way of the others.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from controller.deadlock.cut_off import CutOff
 from controller.deadlock.waits import Progress, WaitGraph
 from controller.executor import Executor
 from controller.fleet import Agv
@@ -61,7 +65,8 @@ class Deadlock:
     """A deadlock that is not over yet.
 
     Attributes:
-        number: count of deadlocks in the run.
+        kind: "deadlock" or "obstruction".
+        number: count of its kind in the run.
         members: AGVs found in it.
         cause: "ring", "idle" or "stuck".
         since: step at which the waiting began.
@@ -73,6 +78,7 @@ class Deadlock:
         failures: how often the ladder was climbed in vain; each time another leader is tried first.
     """
 
+    kind: str
     number: int
     members: tuple[AgvNumber, ...]
     cause: str
@@ -121,7 +127,7 @@ class Ladder:
         self._table = ReservationTable(len(executor.graph.names), executor.motion.following)
         self._open: list[Deadlock] = []
         self._seen: dict[tuple[AgvNumber, ...], int] = {}
-        self._count = 0
+        self._count = {"deadlock": 0, "obstruction": 0}
 
     @property
     def resolving(self) -> bool:
@@ -133,13 +139,14 @@ class Ladder:
         """AGVs that carry out a resolution and must not be planned for."""
         return {n for d in self._open for n in d.locked}
 
-    def step(self, step: int, waits: WaitGraph, problem: PlanningProblem) -> None:
+    def step(self, step: int, waits: WaitGraph, problem: PlanningProblem, cut_off: CutOff) -> None:
         """Look after running resolutions, find new deadlocks and resolve them.
 
         Args:
             step: now.
             waits: who waits for whom.
             problem: the planning problem of this step (blocked vertices, agents that may be planned for).
+            cut_off: the AGVs that faults keep from their goals.
         """
         waiting = {n for group in (*waits.rings, *waits.blocked_by_idle) for n in group}
         waiting.update(self._progress.stuck(step, self._limits.stuck_steps))
@@ -155,7 +162,7 @@ class Ladder:
         taken = {n for d in self._open for n in (*d.members, *d.locked)}
         for members, cause in self._candidates(step, waits):
             if not taken.intersection(members):
-                deadlock = self._found(members, cause, step, waits)
+                deadlock = self._found(self._kind(members, cut_off), members, cause, step, waits)
                 self._open.append(deadlock)
                 self._resolve(deadlock, step, problem)
                 taken.update(deadlock.members, deadlock.locked)
@@ -185,24 +192,29 @@ class Ladder:
             line.append(waits.edges[line[-1]])
         return tuple(line)
 
-    def _found(self, members: tuple[AgvNumber, ...], cause: str, step: int, waits: WaitGraph) -> Deadlock:
+    def _kind(self, members: tuple[AgvNumber, ...], cut_off: CutOff) -> str:
+        held = cut_off.by_fault | cut_off.barred
+        return "obstruction" if any(n in held or self._agvs[n].off_duty for n in members) else "deadlock"
+
+    def _found(self, kind: str, members: tuple[AgvNumber, ...], cause: str, step: int, waits: WaitGraph) -> Deadlock:
         since = self._seen.get(members, step - self._limits.stuck_steps)
-        deadlock = Deadlock(self._count, members, cause, since)
-        self._count += 1
+        deadlock = Deadlock(kind, self._count[kind], members, cause, since)
+        self._count[kind] += 1
         wants = {n: self._executor.graph.names[waits.vertices[n]] for n in members if n in waits.vertices}
         waits_for = {n: waits.edges[n] for n in members if n in waits.edges}
         vertex = waits.vertices.get(members[0], NO_VERTEX)
         names, ex = self._executor.graph.names, self._executor
         detail: dict[str, object] = {
-            "deadlock": deadlock.number,
+            kind: deadlock.number,
             "members": members,
             "cause": cause,
             "waits": waits_for,
             "wants": wants,
             "holds": {n: [names[v] for v in ex.agvs[n].trail] for n in members},
             "goals": {n: names[self._agvs[n].goal] for n in members},
+            "since_s": since * ex.motion.step_s,
         }
-        self._log("deadlock_found", members[0], "", vertex, detail)
+        self._log(f"{kind}_found", members[0], "", vertex, detail)
         return deadlock
 
     # --- carrying out ---------------------------------------------------------------------------------------------
@@ -237,15 +249,17 @@ class Ladder:
     def _close(self, deadlock: Deadlock, step: int) -> None:
         self._open.remove(deadlock)
         detail = {
-            "deadlock": deadlock.number,
+            deadlock.kind: deadlock.number,
             "members": deadlock.members,
             "cause": deadlock.cause,
             "stage": deadlock.stage,
             "cost_s": (step - deadlock.since) * self._executor.motion.step_s,
         }
-        self._log("deadlock_resolved", deadlock.leader, "", NO_VERTEX, detail)
+        self._log(f"{deadlock.kind}_resolved", deadlock.leader, "", NO_VERTEX, detail)
 
     def _failed(self, deadlock: Deadlock, stage: str, reason: str) -> None:
+        if deadlock.kind == "obstruction":
+            return
         detail = {"deadlock": deadlock.number, "stage": stage, "reason": reason}
         self._log("stage_failed", deadlock.members[0], "", NO_VERTEX, detail)
 

@@ -1,8 +1,8 @@
 """Who really waits for whom.
 
 An AGV waits when it stands, has somewhere to go, and the next vertex of its way belongs to another AGV or has been
-promised to another one first. That gives a wait-for graph of what happens, not of what was planned. Three patterns stop
-the garage, and all are found here:
+promised to another one first. That gives a wait-for graph of what happens, not of what was planned. An AGV that cannot
+move waits for the end of its fault, and for no AGV. Three patterns stop the garage, and all are found here:
 
 - a *ring*: a strongly connected component of two or more (Tarjan, as networkx implements it);
 - a *chain that ends at an AGV without anything to do*: it will not move by itself;
@@ -68,7 +68,7 @@ def wait_graph(executor: Executor, agvs: Numbered[AgvNumber, Agv], costs: Costs)
     vertices: dict[AgvNumber, Vertex] = {}
     for agv in agvs:
         a = executor.agvs[agv.number]
-        if not a.standing or a.acting_until >= 0 or agv.action is not None:
+        if agv.immobile or not a.standing or a.acting_until >= 0 or agv.action is not None:
             continue
         w = wanted_vertex(executor, agv, costs)
         if w < 0:

@@ -181,6 +181,27 @@ class FaultyPlant:
         """Where each AGV is now."""
         return self._plant.samples()
 
+    # --- what is to come ------------------------------------------------------------------------------------------
+
+    def ending(self, before_s: float) -> frozenset[int]:
+        """Numbers of the faults under way that end before a time in seconds."""
+        until = before_s / self.motion.step_s
+        return frozenset(report.number for end, _, report in self._running if end < until)
+
+    def still(self, before_s: float) -> frozenset[AgvNumber] | None:
+        """AGVs that faults keep from moving until a time.
+
+        Args:
+            before_s: the time, seconds.
+
+        Returns:
+            Their numbers; None if a fault may begin or end before that time, or a command is on its way.
+        """
+        coming = self._coming is not None and self._coming.start_s < before_s
+        if coming or self._postponed or self.ending(before_s) or any(body.inbox for body in self._bodies):
+            return None
+        return frozenset(i for i, body in numbered(self._bodies) if body.holds)
+
     def close(self) -> None:
         """Release what the plant holds."""
         self._plant.close()
@@ -333,7 +354,7 @@ class FaultyPlant:
         offset = self.graph.xy - self.graph.xy[fault.vertex]
         zone = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) <= radius_m)
         inside = tuple(i for i, body in numbered(self._bodies) if np.isin(body.touched, zone).any())
-        return inside, tuple(map(Vertex, zone.tolist()))
+        return inside, (fault.vertex, *(Vertex(v) for v in zone.tolist() if v != fault.vertex))
 
     def _begin_on(self, i: AgvNumber, fault: Fault) -> None:
         body, config = self._bodies[i], self._config
