@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -83,7 +84,8 @@ def requests(
     part = cut(read_gate_log(log, parse_dialect(columns, events, dates, zone)), *stretch)
     rows = requests_of(part, initial)
     try:
-        out.write_text("".join(",".join(row) + "\n" for row in (COLUMNS, *rows)), encoding="utf-8")
+        with out.open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows([COLUMNS, *rows])
     except OSError as error:
         raise InputError(f"--out: {out}: can't be written: {error.strerror}") from None
     _print_lines(part.notes)

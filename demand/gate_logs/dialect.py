@@ -305,7 +305,7 @@ def _left_out(words: pd.Series[str]) -> list[str]:
 
 def _plate(text: str) -> str:
     bare = re.sub(r"[\W_]+", "", text).upper()
-    return "" if not bare or bare in _NO_PLATE or set(bare) <= {"0"} else text
+    return "" if not bare or bare in _NO_PLATE or set(bare) <= {"0"} else " ".join(text.split())
 
 
 def _bare(text: str) -> str:

@@ -21,7 +21,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import count, pairwise
 from math import inf
 from statistics import median
 
@@ -77,7 +77,8 @@ def mend(cars: Mapping[str, Sequence[Move]], unread: Sequence[Move], begin: floa
     left = sorted((hour, step) for step, hours in pool.items() for hour in hours)
     matched = len(unread) - len(left)
     if len(unread) < sum(map(len, once.values())):
-        own = {f"unread {number}": moves for number, moves in enumerate(_visits(left, stays), 1)}
+        names = (name for number in count(1) if (name := f"no plate {number}") not in cars)
+        own = dict(zip(names, _visits(left, stays), strict=False))
         turned |= own
         mended |= {car: _filled(moves, stays, {1: [], -1: []}) for car, moves in own.items()}
         left = []
