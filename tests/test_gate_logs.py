@@ -285,7 +285,7 @@ def poisson_log(rng: np.random.Generator, days: int) -> list[Row]:
     return rows + [(MONDAY + timedelta(hours=hour), -1, f"c{k}") for k, hour in enumerate(left.tolist())]
 
 
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=8, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 10**6),
     begin=st.floats(0, 30),
@@ -382,7 +382,7 @@ def _times(demand: Demand, kind: RequestKind, first: float) -> list[float]:
 
 
 def test_a_profile_fitted_to_a_log_gives_its_rates_back(tmp_path: Path) -> None:
-    write_log(tmp_path / "log.csv", "mall-weekday", 20)
+    write_log(tmp_path / "log.csv", "mall-weekday", 15)
     fitted = fit_profile(read_gate_log(tmp_path / "log.csv"), SLOTS, "a log made by a profile", "all")
     true = PROFILES["mall-weekday"]
     for hour in range(9, 19):

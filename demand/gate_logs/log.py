@@ -29,7 +29,7 @@ class GateLog:
         first_day: the day at whose midnight the hours begin.
         hours: when, in order.
         steps: +1 for each car in, -1 for each out.
-        cars: who; "" if not read. The movements of a car alternate.
+        cars: the car of each movement; "" if it was not read. The movements of a car alternate.
         inside: cars inside when the log begins, as far as their plates tell.
         covered: stretches of time in which movements were read, in order.
         notes: what was recognised, mended and left out, in words.

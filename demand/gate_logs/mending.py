@@ -75,26 +75,24 @@ def mend(cars: Mapping[str, Sequence[Move]], unread: Sequence[Move], begin: floa
     pool = {step: [hour for hour, s in unread if s == step] for step in (1, -1)}
     mended = {car: _filled(moves, stays, pool) for car, moves in turned.items()}
     left = sorted((hour, step) for step, hours in pool.items() for hour in hours)
-    matched = len(unread) - len(left)
+    nameless: dict[str, list[Move]] = {}
     if len(unread) < sum(map(len, once.values())):
         names = (name for number in count(1) if (name := f"no plate {number}") not in cars)
-        own = dict(zip(names, _visits(left, stays), strict=False))
-        turned |= own
-        mended |= {car: _filled(moves, stays, {1: [], -1: []}) for car, moves in own.items()}
-        left = []
-    twice = sum(map(len, cars.values())) - sum(map(len, once.values()))
-    pairs = sum(a != b for car in once for a, b in zip(once[car], turned[car], strict=True)) // 2
-    added = {step: _count(mended, step) - _count(turned, step) for step in (-1, 1)}
+        nameless = dict(zip(names, _visits(left, stays), strict=False))
+        mended |= {car: _filled(moves, stays, {1: [], -1: []}) for car, moves in nameless.items()}
+    known = {**turned, **nameless}
+    added = {step: _count(mended, step) - _count(known, step) for step in (-1, 1)}
     for step, hours in pool.items():
-        added[step] -= sum(s == step for _, s in unread) - len(hours)  # those that were there, without a plate
+        added[step] -= _count({"": unread}, step) - len(hours)  # not added: there, without a plate
     counts = {
-        "movements read twice: counted once": twice,
-        "pairs the wrong way round (out before in): turned": pairs,
-        "movements without a plate: matched to a car that lacks one": matched,
+        "movements read twice: counted once": sum(map(len, cars.values())) - sum(map(len, once.values())),
+        "pairs the wrong way round (out before in): turned": _turns(once, turned),
+        "movements without a plate: matched to a car that lacks one": len(unread) - len(left),
         "entries without an exit: an exit added after a typical stay": added[-1],
         "exits without an entry: an entry added a typical stay before": added[1],
     }
-    return Mended(mended, left, tuple(f"mended: {count} {words}" for words, count in counts.items() if count))
+    notes = tuple(f"mended: {number} {words}" for words, number in counts.items() if number)
+    return Mended(mended, [] if nameless else left, notes)
 
 
 def _read_once(moves: Sequence[Move]) -> list[Move]:
@@ -108,7 +106,8 @@ def _read_once(moves: Sequence[Move]) -> list[Move]:
 
 def _in_step(moves: Sequence[Move]) -> list[Move]:
     ordered = list(moves)
-    for place, (a, b) in enumerate(pairwise(ordered)):
+    for place in range(len(ordered) - 1):
+        a, b = ordered[place : place + 2]
         inside = place > 0 and ordered[place - 1][1] == 1
         if a[0] == b[0] and a[1] != b[1] and (a[1] == 1) == inside:
             ordered[place], ordered[place + 1] = b, a
@@ -167,6 +166,10 @@ def _missing(hour: float, step: int, neighbour: Move | None, stays: _Stays, pool
         k for k in (place - 1, place) if 0 <= k < len(hours) and 0 < step * (hours[k] - hour) < min(room, stays.longest)
     ]
     return hours.pop(min(near, key=lambda k: abs(hours[k] - wanted))) if near else wanted
+
+
+def _turns(before: Mapping[str, Sequence[Move]], after: Mapping[str, Sequence[Move]]) -> int:
+    return sum(a != b for car in before for a, b in zip(before[car], after[car], strict=True)) // 2
 
 
 def _count(cars: Mapping[str, Sequence[Move]], step: int) -> int:
