@@ -13,6 +13,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from uuid import uuid4
 
 import yaml
 
@@ -90,6 +91,7 @@ def write_inputs(inputs: Inputs, folder: Path, shared: Path | None = None) -> No
         if target.is_file() and target.read_bytes() == content:
             continue  # a run that is resumed
         target.parent.mkdir(parents=True, exist_ok=True)
+        target.unlink(missing_ok=True)  # it may be a link to what other runs read
         if shared is None:
             target.write_bytes(content)
         else:
@@ -119,14 +121,13 @@ def _shared(content: bytes, digest: str, folder: Path) -> Path:
     path = folder / digest
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f"{digest}.part-{os.getpid()}")
+        temporary = path.with_name(f"{digest}.part-{uuid4().hex}")
         temporary.write_bytes(content)
         temporary.replace(path)
     return path
 
 
 def _link(source: Path, target: Path) -> None:
-    target.unlink(missing_ok=True)
     try:
         os.link(source, target)
     except OSError:

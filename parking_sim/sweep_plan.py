@@ -85,11 +85,11 @@ def make_runs(scenarios: Sequence[Scenario], variants: Sequence[Variant], seeds:
         The runs, all variants of the first seed first; a run that two variants share is there once.
     """
     found: dict[str, RunSpec] = {}
+    contents = [_content(scenario) for scenario in scenarios]
     for seed in seeds:
-        for scenario, variant in zip(scenarios, variants, strict=True):
-            seeded = scenario.model_copy(update={"seed": seed})
-            spec = RunSpec(seeded, variant, run_key(seeded))
-            found.setdefault(spec.key, spec)
+        for scenario, variant, content in zip(scenarios, variants, contents, strict=True):
+            key = _key(content, seed)
+            found.setdefault(key, RunSpec(scenario.model_copy(update={"seed": seed}), variant, key))
     return tuple(found.values())
 
 
@@ -129,9 +129,17 @@ def run_key(scenario: Scenario) -> str:
     Raises:
         InputError: a file that the scenario names can't be read.
     """
+    return _key(_content(scenario), scenario.seed)
+
+
+def _content(scenario: Scenario) -> dict[str, object]:
+    """What decides the outcome of a run besides its seed."""
     inputs = read_inputs(scenario)
-    content = {"scenario": inputs.scenario, "files": inputs.digests, "code": code_version()}
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+    return {"scenario": {**inputs.scenario, "seed": None}, "files": inputs.digests, "code": code_version()}
+
+
+def _key(content: Mapping[str, object], seed: int) -> str:
+    return hashlib.sha256(json.dumps([content, seed], sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _base(given: object, path: Path) -> tuple[dict[str, object], Path]:
@@ -218,7 +226,7 @@ def _check_differ(variants: Sequence[Variant], scenarios: Sequence[Scenario], pa
     names: set[str] = set()
     name_of: dict[str, str] = {}
     for variant, scenario in zip(variants, scenarios, strict=True):
-        content = run_key(scenario.model_copy(update={"seed": 0}))
+        content = _key(_content(scenario), 0)
         if content in name_of:
             raise InputError(
                 f"{path}: {name_of[content]!r} and {variant.name!r} are the same scenario; remove one of them"

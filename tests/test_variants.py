@@ -125,6 +125,12 @@ def days(tmp_path_factory: pytest.TempPathFactory) -> Path:
 NAMES = ["quiet day", "saturday", "breakdown at noon"]
 
 
+def test_values_of_the_grid_have_names(tmp_path: Path) -> None:
+    (tmp_path / "sweep.yaml").write_text(f"{SMALL.replace('duration_s', 'agvs: 2, duration_s')}\n{blocks('yaml')[1]}")
+    names = [spec.variant.name for spec in load_sweep(tmp_path / "sweep.yaml")]
+    assert names == ["workload=quiet day", "workload=saturday"]
+
+
 def test_every_variant_has_its_runs_under_its_name(days: Path) -> None:
     frame = load_runs(days).runs.df()
     expected = {f"{name}, agvs={agvs}": 2 for name in NAMES for agvs in (2, 4)}
