@@ -44,7 +44,7 @@ _ACTIVITY_OF = {Action.TURN: "turning", Action.LIFT: "lifting", Action.LOWER: "l
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a run is: simulated seconds, tasks done of how many, wall-clock seconds."""
+    """How far a run is: simulated seconds, requests that ended (served or not) of how many, wall-clock seconds."""
 
     time_s: float
     done: int
@@ -365,7 +365,7 @@ class _Run:
             self._drawn[i] += max(0.0, self._soc[i] - agv.soc)
             self._soc[i] = agv.soc
         street = self._sumo.street() if self._sumo is not None else None
-        queue, spilled = (street.queued, street.spilled) if street else (0, 0)
+        queue, spilled = (street.queued, street.spilled) if street else (len(self.garage.queue), 0)
         active = sum(1 for a in agvs if a.job is not None)
         parked, waiting = len(self.garage.parked), len(self.garage.open)
         self.recorder.timeline(self.now_s, queue + spilled, spilled, parked, waiting, active)

@@ -153,10 +153,20 @@ def tune(
             scenario, parse_ranges(vary), measure, trials, parse_seeds(seeds, "--seeds"), folder, executor
         )
     rows = [
-        {"setting": label(r.values), measure: f"{r.mean.mean:.5g}", "±": f"{r.mean.half:.3g}"} for r in results[:10]
+        {"setting": label(r.values), measure: _finite(r.mean.mean, 5), "±": _finite(r.mean.half, 3)}
+        for r in results[:10]
     ]
     print_table(rows, f"{name}: the best of {len(results)} settings")
+    if results and math.isinf(results[0].mean.mean):
+        print(
+            "Every setting turns too many customers away for this measure; --measure turned_away_share tells them apart"
+        )
     _say(quiet, f"runs: {folder}")
+
+
+def _finite(value: float, figures: int) -> str:
+    """A measure with so many figures, or that customers who were turned away wait without end."""
+    return "endless" if math.isinf(value) else f"{value:.{figures}g}"
 
 
 def profiles(
