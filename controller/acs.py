@@ -98,7 +98,7 @@ class Acs:
         Returns:
             Commands in the order in which they have to be carried out.
         """
-        self._step, self._now_s = step, step * self._setup.motion.step_s
+        self._step, self._now_s = step, self._setup.motion.seconds(step)
         self._commands = []
         changed, finished = self.executor.update(states, step)
         for n in changed:

@@ -120,4 +120,4 @@ class Claims:
         return only
 
     def _is_ready(self, car: Job, step: int) -> bool:
-        return car.ready_s <= step * self.executor.motion.step_s
+        return car.ready_s <= self.executor.motion.seconds(step)

@@ -6,6 +6,7 @@ seconds a step lasts (a SUMO step, or one tick of the discrete plant). Seconds c
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -125,6 +126,10 @@ class Motion:
     first_transition: IntArray
     following: bool
 
+    def seconds(self, steps: int) -> float:
+        """How long so many steps last, to the millisecond: SUMO counts in whole ones, and so no error adds up."""
+        return round(steps * self.step_s, 3)
+
     def transition(self, graph: Graph, edge_in: EdgeIndex, edge_out: EdgeIndex) -> int:
         """Column of an edge and a next edge in the turn tables."""
         return int(self.first_transition[edge_in]) + edge_out - int(graph.first_out[graph.head[edge_in]])
@@ -132,6 +137,11 @@ class Motion:
     def turn(self, graph: Graph, edge_in: EdgeIndex, edge_out: EdgeIndex, loaded: bool) -> int:
         """Steps to turn from one edge to the next; 0 without an edge to come from (``edge_in`` -1)."""
         return 0 if edge_in < 0 else int(self.turn_steps[int(loaded), self.transition(graph, edge_in, edge_out)])
+
+
+def whole_steps(seconds: float, step_s: float) -> int:
+    """The fewest whole steps that last so many seconds or longer."""
+    return math.ceil(round(seconds / step_s, 9))
 
 
 def make_motion(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,10 +16,10 @@ from controller.planners.cbs import CbsLimits
 from controller.planners.table import load_planner
 from controller.planning import ControlOptions
 from controller.rules import Rules
-from controller.types import AgvNumber, Log, Motion
+from controller.types import AgvNumber, Log, Motion, whole_steps
 from demand.types import Demand, stream
 from demand.workloads import make_demand
-from parking_sim.config import AgvConfig, ControlConfig, Scenario, unknown_names
+from parking_sim.config import AgvConfig, ControlConfig, PlantKind, Scenario, unknown_names
 from parking_sim.errors import InputError
 from parking_sim.faults import scripted_faults
 from parking_sim.plants import Plant
@@ -98,7 +97,7 @@ class World:
             planner = load_planner(s.planner_source, graph, self.motion, s.planner_options)
         except ValueError as error:
             raise InputError(f"planner: {error}") from None
-        options = control_options(s.control, self.rules.cell_steps, self.motion.step_s)
+        options = control_options(s.control, s.plant, self.rules.cell_steps, self.motion.step_s)
         prescribed = _ticks(s).dispatch if s.plant == "discrete" else ""
         rule = DISPATCH[prescribed or s.dispatch]
         return Acs(Setup(graph, self.motion, self.homes, garage, self.rules, options, planner, rule, log))
@@ -134,7 +133,23 @@ def assemble(scenario: Scenario) -> World:
         kind = agv_type(scenario.agv)
         motion = sumo_motion(net.graph, kind, scenario.step_s)
         rules = _sumo_rules(scenario.agv, motion)
+    _check_times(scenario, motion.step_s)
     return World(scenario, net, tuple(homes)[: scenario.agvs], demand, motion, rules)
+
+
+def _check_times(scenario: Scenario, step_s: float) -> None:
+    """Whatever is done again and again, or ends the run, can't be shorter than a step."""
+    times = {"max_time_s": scenario.max_time_s, "record.sample_s": scenario.record.sample_s}
+    if scenario.duration_s is not None:
+        times["duration_s"] = scenario.duration_s
+    if scenario.plant == "sumo":
+        control = scenario.control
+        for key in ("period_s", "look_ahead_s", "timeout_s", "stuck_s"):
+            times[f"control.{key}"] = getattr(control, key)
+    for field, seconds in times.items():
+        if seconds < step_s:
+            step = "step_s" if scenario.plant == "sumo" else "a tick of the discrete plant"
+            raise InputError(f"{field}: {seconds:g}: shorter than {step}, {step_s:g} s; give {step_s:g} or more")
 
 
 def _check_zones(demand: Demand, net: GarageNet) -> None:
@@ -160,7 +175,7 @@ def agv_type(config: AgvConfig) -> AgvType:
 
 def _sumo_rules(config: AgvConfig, motion: Motion) -> Rules:
     def steps(seconds: float) -> int:
-        return math.ceil(round(seconds / motion.step_s, 9))
+        return whole_steps(seconds, motion.step_s)
 
     full_charge_s = config.battery_wh / config.charge_w * 3600.0
     return Rules(
@@ -177,26 +192,26 @@ def _sumo_rules(config: AgvConfig, motion: Motion) -> Rules:
     )
 
 
-def control_options(config: ControlConfig, cell_steps: int, step_s: float) -> ControlOptions:
-    """The controller's options in its own units."""
+def control_options(config: ControlConfig, plant: PlantKind, cell_steps: int, step_s: float) -> ControlOptions:
+    """The controller's options in its own units: times in SUMO, so many moves in the discrete plant."""
 
-    def steps(seconds: float) -> int:
-        return max(1, round(seconds / step_s))
+    def steps(seconds: float, moves: int) -> int:
+        return whole_steps(seconds, step_s) if plant == "sumo" else moves * cell_steps
 
     ladder = LadderLimits(
         patience_steps=2 * cell_steps,
-        stuck_steps=steps(config.stuck_s) if step_s < 1 else 20 * cell_steps,
+        stuck_steps=steps(config.stuck_s, 20),
         group=config.cbs_group,
         cbs=CbsLimits(
             expansions=config.cbs_expansions, nodes=config.cbs_nodes, constraints=config.cbs_constraints, ranges=True
         ),
     )
     return ControlOptions(
-        period_steps=steps(config.period_s) if step_s < 1 else 1,
+        period_steps=steps(config.period_s, 1),
         replanning=config.replanning,
-        look_ahead_steps=steps(config.look_ahead_s) if step_s < 1 else 8 * cell_steps,
-        timeout_steps=steps(config.timeout_s) if step_s < 1 else 5 * cell_steps,
-        watch_steps=steps(1.0) if step_s < 1 else 1,
+        look_ahead_steps=steps(config.look_ahead_s, 8),
+        timeout_steps=steps(config.timeout_s, 5),
+        watch_steps=steps(1.0, 1),
         reorder=config.reorder,
         window_cells=config.window_cells,
         window_min=config.window_min,

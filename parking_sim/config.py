@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Hashable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
 
 from demand.park_exit import ParkExit
@@ -24,6 +25,9 @@ DEFAULT_AGVS = {"map1": 4, "map2": 4, "map3": 8, "map1_thesis": 4, "map2_thesis"
 
 #: The planner when nothing else is said: best or equal by docs/planners.md.
 DEFAULT_PLANNER = "token"
+
+#: What moves the AGVs.
+PlantKind = Literal["sumo", "discrete"]
 
 NET_SUFFIXES = (".net.xml", ".net.xml.gz")
 
@@ -46,7 +50,10 @@ class _Options(BaseModel):
 
 
 class ControlConfig(_Options):
-    """The controller's clock, window and limits. Defaults are the thesis's where it gives a value."""
+    """The controller's clock, window and limits. Defaults are the thesis's where it gives a value.
+
+    Times hold in SUMO; the discrete plant has the thesis's numbers of ticks instead.
+    """
 
     period_s: float = Field(default=5.0, gt=0, description="replanning period, seconds")
     replanning: Literal["periodic", "events", "both"] = Field(
@@ -162,9 +169,7 @@ class Scenario(_Options):
     agvs: int = Field(ge=1, description="number of AGVs")
     bays: int | None = Field(default=None, ge=1, description="bays in use, the first ones; default: all")
     chargers: int | None = Field(default=None, ge=0, description="chargers in use, the first ones; default: all")
-    plant: Literal["sumo", "discrete"] = Field(
-        default="sumo", description="what moves the AGVs: SUMO, or ticks of one cell without SUMO"
-    )
+    plant: PlantKind = Field(default="sumo", description="what moves the AGVs: SUMO, or ticks of one cell without SUMO")
     rules: str = Field(default="fair", min_length=1, description="rule set of the discrete plant")
     planner: str = Field(
         default=DEFAULT_PLANNER, min_length=1, description="a planner's name, or `file.py:function` for one of your own"
@@ -183,7 +188,7 @@ class Scenario(_Options):
     max_time_s: float = Field(
         default=2_592_000.0, gt=0, description="simulated seconds after which a run without an end is given up"
     )
-    step_s: float = Field(default=0.5, gt=0, le=1, description="SUMO's step, seconds")
+    step_s: float = Field(default=0.5, gt=0, le=1, description="SUMO's step, seconds; whole milliseconds")
     control: ControlConfig = Field(default_factory=ControlConfig, description="clock, window and limits")
     agv: AgvConfig = Field(default_factory=AgvConfig, description="the AGVs' speeds, size and battery")
     customers: CustomerConfig = Field(default_factory=CustomerConfig, description="the customers and their cars")
@@ -191,6 +196,16 @@ class Scenario(_Options):
     record: RecordConfig = Field(default_factory=RecordConfig, description="what is written down")
 
     _base_dir: Path = PrivateAttr(default=Path())
+
+    @field_validator("step_s")
+    @classmethod
+    def _whole_milliseconds(cls, step_s: float) -> float:
+        """SUMO cuts a step down to whole milliseconds, and its clock would drift away from the record's."""
+        if step_s != round(step_s, 3):
+            down, up = math.floor(step_s * 1000) / 1000, math.ceil(step_s * 1000) / 1000
+            nearest = f"{down:g} or {up:g}" if down > 0 else f"{up:g}"
+            raise ValueError(f"{step_s!r}: SUMO's step is whole milliseconds; give {nearest}")
+        return step_s
 
     @property
     def base_dir(self) -> Path:

@@ -13,7 +13,7 @@ import numpy as np
 
 from controller.faults import REPORTED, FaultReport
 from controller.garage import Job
-from controller.types import NO_AGV, Action, Advance, AgvMode, AgvNumber, Request
+from controller.types import NO_AGV, Action, Advance, AgvMode, AgvNumber, Request, whole_steps
 from parking_sim.assembly import World, assemble
 from parking_sim.config import Scenario
 from parking_sim.folders import clear_run
@@ -157,7 +157,7 @@ class _Run:
     @property
     def now_s(self) -> float:
         """Simulated seconds since the loop began."""
-        return self.step * self.step_s
+        return self.world.motion.seconds(self.step)
 
     @contextmanager
     def started(self, outputs: Path | None, gui: bool, fcd: bool) -> Iterator[None]:
@@ -184,8 +184,8 @@ class _Run:
         """Step until everything is done or time is up; returns the status."""
         scenario = self.world.scenario
         end_s = scenario.duration_s or scenario.max_time_s
-        sample_every = max(1, round(scenario.record.sample_s / self.step_s))
-        flush_every = max(1, round(FLUSH_S / self.step_s))
+        sample_every = whole_steps(scenario.record.sample_s, self.step_s)
+        flush_every = whole_steps(FLUSH_S, self.step_s)
         try:
             while True:
                 self._customers()
@@ -451,7 +451,7 @@ class _Run:
 
     def _agv_row(self, i: AgvNumber, tasks: int) -> AgvRow:
         ex = self.acs.executor
-        seconds = {f"{k}_s": n * self.step_s for k, n in self._activity[i].items()}
+        seconds = {f"{k}_s": self.world.motion.seconds(n) for k, n in self._activity[i].items()}
         battery_wh = self.world.scenario.agv.battery_wh if self._sumo is not None else 0.0
         return AgvRow(i, ex.moves[i], ex.distance_m[i], tasks, **seconds, energy_wh=self._drawn[i] * battery_wh)
 

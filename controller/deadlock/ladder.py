@@ -253,7 +253,7 @@ class Ladder:
             "members": deadlock.members,
             "cause": deadlock.cause,
             "stage": deadlock.stage,
-            "cost_s": (step - deadlock.since) * self._executor.motion.step_s,
+            "cost_s": self._executor.motion.seconds(step - deadlock.since),
         }
         self._log(f"{deadlock.kind}_resolved", deadlock.leader, "", NO_VERTEX, detail)
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.random import Generator
 
 from controller.faults import IMMOBILE, FaultReport
-from controller.types import Act, Action, Advance, AgvNumber, AgvState, Command, RequestNumber
+from controller.types import Act, Action, Advance, AgvNumber, AgvState, Command, RequestNumber, whole_steps
 from demand.types import stream
 from parking_sim.fault_config import Battery, Breakdown, FaultConfig, Slow, Stale, ZoneStop
 from parking_sim.faults import Fault, fault_stream
@@ -154,7 +154,7 @@ class FaultyPlant:
         if self.motion.following:
             self._deliver(command)
             if delay:
-                self._begin(Fault(self._now_s, kind, delay * self.motion.step_s, command.agv))
+                self._begin(Fault(self._now_s, kind, self.motion.seconds(delay), command.agv))
             return
         due = max(self._step + delay, body.inbox[-1][0] if body.inbox else 0)
         if due <= self._step and not body.inbox:
@@ -209,7 +209,7 @@ class FaultyPlant:
     @property
     def _now_s(self) -> float:
         """Seconds since the loop began."""
-        return self._step * self.motion.step_s
+        return self.motion.seconds(self._step)
 
     # --- what is reported -----------------------------------------------------------------------------------------
 
@@ -261,7 +261,7 @@ class FaultyPlant:
         ticks = int(body.owed)
         body.owed -= ticks
         self._hold(i, True)
-        fault = Fault(self._now_s, "stop", ticks * self.motion.step_s, i)
+        fault = Fault(self._now_s, "stop", self.motion.seconds(ticks), i)
         self._running.append((self._step + ticks, fault, FaultReport(-1, "", True, (i,))))
 
     def _limit(self, i: AgvNumber) -> None:
@@ -285,7 +285,7 @@ class FaultyPlant:
         kind = "lost" if seconds else "late"
         if commands.late and float(rng.random()) < commands.late:
             seconds += commands.late_s
-        return math.ceil(seconds / self.motion.step_s), kind
+        return whole_steps(seconds, self.motion.step_s), kind
 
     def _deliver_due(self) -> None:
         for body in self._bodies:
@@ -362,7 +362,7 @@ class FaultyPlant:
             body.slow = (config.slow or Slow(per_h=0)).share
             self._limit(i)
         elif fault.kind == "stale":
-            body.age = math.ceil((config.stale or Stale(per_h=0)).age_s / self.motion.step_s)
+            body.age = whole_steps((config.stale or Stale(per_h=0)).age_s, self.motion.step_s)
         else:
             self._hold(i, True)
             body.out += fault.kind in IMMOBILE

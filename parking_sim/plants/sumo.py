@@ -154,7 +154,7 @@ class SumoPlant:
     @property
     def time_s(self) -> float:
         """Simulated seconds since SUMO's start."""
-        return self._step * self.motion.step_s
+        return self.motion.seconds(self._step)
 
     def states(self) -> Numbered[AgvNumber, AgvState]:
         """One state for each AGV, in their order."""

@@ -6,12 +6,11 @@ charging in an idle hour); accelerations, turning rates and the battery are assu
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from controller.types import Motion, make_motion
+from controller.types import Motion, make_motion, whole_steps
 from sumo_nets.graph import Graph
 
 #: Below this many degrees a bend is driven through without stopping.
@@ -90,7 +89,7 @@ def sumo_motion(graph: Graph, agv_type: AgvType, step_s: float) -> Motion:
     """
 
     def steps(seconds: float) -> int:
-        return math.ceil(seconds / step_s - 1e-9)
+        return whole_steps(seconds, step_s)
 
     def drive(length_m: float, limit_mps: float, loaded: bool) -> int:
         return max(1, steps(length_m / min(agv_type.speed_mps(loaded), limit_mps)))
