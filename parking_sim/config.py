@@ -29,6 +29,9 @@ DEFAULT_PLANNER = "token"
 #: What moves the AGVs.
 PlantKind = Literal["sumo", "discrete"]
 
+#: Longest of the times that a scenario gives, so that planning steps can be counted in 32 bits.
+DAY_S = 86_400.0
+
 NET_SUFFIXES = (".net.xml", ".net.xml.gz")
 
 
@@ -55,25 +58,30 @@ class ControlConfig(_Options):
     Times hold in SUMO; the discrete plant has the thesis's numbers of ticks instead.
     """
 
-    period_s: float = Field(default=5.0, gt=0, description="replanning period, seconds")
+    period_s: float = Field(default=5.0, gt=0, le=DAY_S, description="replanning period, seconds")
     replanning: Literal["periodic", "events", "both"] = Field(
         default="periodic",
         description="when to plan: every period and for new goals; at events (new goal, predicted collision, end of a"
         " plan, time-out); or both",
     )
-    look_ahead_s: float = Field(default=8.0, gt=0, description="events: collisions are predicted so far ahead, seconds")
+    look_ahead_s: float = Field(
+        default=8.0, gt=0, le=DAY_S, description="events: collisions are predicted so far ahead, seconds"
+    )
     timeout_s: float = Field(
         default=5.0,
         gt=0,
+        le=DAY_S,
         description="events: plan after so long while somebody stands who has somewhere to go, seconds",
     )
     reorder: bool = Field(
         default=False, description="AGVs that wait behind a late one go first where that pays: orders are switched"
     )
-    window_cells: int = Field(default=5, ge=1, description="planning window at the start, moves over an aisle cell")
-    window_min: int = Field(default=5, ge=1, description="least window, moves")
-    window_max: int = Field(default=11, ge=1, description="greatest window, moves")
-    window_step: int = Field(default=2, ge=1, description="change of the window at a time, moves")
+    window_cells: int = Field(
+        default=5, ge=1, le=10_000, description="planning window at the start, moves over an aisle cell"
+    )
+    window_min: int = Field(default=5, ge=1, le=10_000, description="least window, moves")
+    window_max: int = Field(default=11, ge=1, le=10_000, description="greatest window, moves")
+    window_step: int = Field(default=2, ge=1, le=10_000, description="change of the window at a time, moves")
     score_keep: float = Field(
         default=0.6,
         ge=0,
@@ -83,7 +91,9 @@ class ControlConfig(_Options):
     score_scc: int = Field(default=5, ge=0, description="weight of a strongly connected component in the score")
     score_up: int = Field(default=24, ge=0, description="the window grows when the score is above this")
     score_down: int = Field(default=10, ge=0, description="the window shrinks when the score is below this")
-    stuck_s: float = Field(default=120.0, gt=0, description="seconds without progress after which an AGV is stuck")
+    stuck_s: float = Field(
+        default=120.0, gt=0, le=DAY_S, description="seconds without progress after which an AGV is stuck"
+    )
     cbs_group: int = Field(default=5, ge=2, description="partial CBS: AGVs in a group at most")
     cbs_expansions: int = Field(default=64, ge=1, description="partial CBS: expansions of the constraint tree at most")
     cbs_nodes: int = Field(default=128, ge=1, description="partial CBS: nodes of the constraint tree at most")
@@ -101,24 +111,24 @@ class ControlConfig(_Options):
 class AgvConfig(_Options):
     """One type of AGV, all alike. Defaults follow the parking robots on the market."""
 
-    empty_mps: float = Field(default=1.5, gt=0, le=20, description="top speed without a car, m/s")
-    loaded_mps: float = Field(default=1.0, gt=0, le=20, description="top speed with a car, m/s")
-    empty_accel: float = Field(default=0.5, gt=0, le=10, description="acceleration without a car, m/s2")
-    loaded_accel: float = Field(default=0.3, gt=0, le=10, description="acceleration with a car, m/s2")
-    braking: float = Field(default=0.8, gt=0, le=10, description="deceleration, m/s2")
-    empty_turn_dps: float = Field(default=30.0, gt=0, description="turning in place without a car, degrees/s")
-    loaded_turn_dps: float = Field(default=20.0, gt=0, description="turning in place with a car, degrees/s")
-    lift_s: float = Field(default=20.0, ge=0, description="lifting a car, seconds")
-    lower_s: float = Field(default=15.0, ge=0, description="lowering a car, seconds")
+    empty_mps: float = Field(default=1.5, ge=0.01, le=20, description="top speed without a car, m/s")
+    loaded_mps: float = Field(default=1.0, ge=0.01, le=20, description="top speed with a car, m/s")
+    empty_accel: float = Field(default=0.5, ge=0.01, le=10, description="acceleration without a car, m/s2")
+    loaded_accel: float = Field(default=0.3, ge=0.01, le=10, description="acceleration with a car, m/s2")
+    braking: float = Field(default=0.8, ge=0.01, le=10, description="deceleration, m/s2")
+    empty_turn_dps: float = Field(default=30.0, ge=0.1, description="turning in place without a car, degrees/s")
+    loaded_turn_dps: float = Field(default=20.0, ge=0.1, description="turning in place with a car, degrees/s")
+    lift_s: float = Field(default=20.0, ge=0, le=DAY_S, description="lifting a car, seconds")
+    lower_s: float = Field(default=15.0, ge=0, le=DAY_S, description="lowering a car, seconds")
     length_m: float = Field(default=4.7, gt=0, le=20, description="length of the AGV, with or without a car, metres")
     width_m: float = Field(default=2.0, gt=0, le=5, description="width of the AGV, with or without a car, metres")
-    empty_kg: float = Field(default=1500.0, gt=0, description="mass of the AGV, kg")
-    car_kg: float = Field(default=1800.0, ge=0, description="mass of a car, kg")
-    idle_w: float = Field(default=150.0, ge=0, description="power that electronics draw all the time, W")
+    empty_kg: float = Field(default=1500.0, gt=0, le=1e6, description="mass of the AGV, kg")
+    car_kg: float = Field(default=1800.0, ge=0, le=1e6, description="mass of a car, kg")
+    idle_w: float = Field(default=150.0, ge=0, le=1e6, description="power that electronics draw all the time, W")
     battery_wh: float = Field(
-        default=6000.0, gt=0, description="battery capacity, Wh; the default lasts about 8 hours of driving"
+        default=6000.0, gt=0, le=50_000, description="battery capacity, Wh; the default lasts about 8 hours of driving"
     )
-    charge_w: float = Field(default=5000.0, gt=0, description="charging power, W")
+    charge_w: float = Field(default=5000.0, ge=100, le=1e6, description="charging power, W")
     charge_below: float = Field(default=0.3, ge=0, lt=1, description="state of charge that sends it to charge, 0 to 1")
     charge_to: float = Field(default=0.9, gt=0, le=1, description="state of charge at which charging ends, 0 to 1")
 
@@ -133,7 +143,7 @@ class CustomerConfig(_Options):
     """Customers and their cars."""
 
     handling_median_s: float = Field(
-        default=60.0, gt=0, description="median time a customer takes at the bay to get in or out, seconds"
+        default=60.0, gt=0, le=DAY_S, description="median time a customer takes at the bay to get in or out, seconds"
     )
     handling_sigma: float = Field(
         default=0.5, ge=0, le=3, description="sigma of the lognormal handling time; 0: always the median"
@@ -152,7 +162,9 @@ class CustomerConfig(_Options):
 class RecordConfig(_Options):
     """What is written down besides events, tasks and metrics."""
 
-    sample_s: float = Field(default=2.0, gt=0, description="interval of the AGVs' sampled trajectory, seconds")
+    sample_s: float = Field(
+        default=2.0, gt=0, le=DAY_S, description="interval of the AGVs' sampled trajectory, seconds"
+    )
     plans: bool = Field(default=True, description="write the AGVs' plans whenever a sample finds them changed")
     replay: bool = Field(default=True, description="write the replay of a single run beside its report")
     grants: bool = Field(default=False, description="write one event for each vertex granted to an AGV")

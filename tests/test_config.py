@@ -98,6 +98,16 @@ ERRORS: list[tuple[str, str]] = [
     ("garage: map1\nagvs: true", "agvs: True: must be a valid integer"),
     (BASE + "seed: -1", "seed: -1: must be greater than or equal to 0"),
     (BASE + "duration_s: -5", "duration_s: -5: must be greater than 0"),
+    # what would not fit into 32 bits of planning steps
+    (BASE + "agv: {empty_mps: 1.0e-9}", "agv.empty_mps: 1e-09: must be greater than or equal to 0.01"),
+    (BASE + "agv: {braking: 1.0e-9}", "agv.braking: 1e-09: must be greater than or equal to 0.01"),
+    (BASE + "agv: {loaded_turn_dps: 1.0e-300}", "agv.loaded_turn_dps: 1e-300: must be greater than or equal to 0.1"),
+    (BASE + "agv: {lift_s: 1.0e+300}", "agv.lift_s: 1e+300: must be less than or equal to 86400"),
+    (BASE + "control: {period_s: 1.0e+308}", "control.period_s: 1e+308: must be less than or equal to 86400"),
+    (
+        BASE + "faults: {stop: {per_h: 1, most_s: 1.0e+308}}",
+        "faults.stop.most_s: 1e+308: must be less than or equal to",
+    ),
     (BASE + "max_time_s: .inf", "max_time_s: inf: must be a finite number"),
     (BASE + "plant: sum", "plant: 'sum': give 'sumo' or 'discrete'"),
     (BASE + "control: {window_cells: 99}", "control: give window_min <= window_cells <= window_max"),

@@ -5,7 +5,8 @@ from __future__ import annotations
 import inspect
 import random
 import shutil
-from dataclasses import replace
+from dataclasses import fields, replace
+from importlib import import_module
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -31,6 +32,22 @@ QUICKEST = ("whca", "token", "pbs", "cbs")
 
 def maker(name):
     return lambda graph, motion: load_planner(name, graph, motion, QUICK.get(name, {}))
+
+
+def least_options(name):
+    """The least value of each number among a planner's options, as it says itself."""
+    module, _, options = PLANNERS[name]
+    known = fields(getattr(import_module(module), options)) if options else ()
+    return {f.name: type(f.default)(f.metadata.get("least", 0)) for f in known if type(f.default) in (int, float)}
+
+
+@pytest.mark.parametrize("name", sorted(set(PLANNERS) - {"binary_tree"}))
+def test_a_planner_works_with_the_least_of_its_options_and_refuses_less(name):
+    problem, least = random_problem(7), least_options(name)
+    assert violations(load_planner(name, problem.graph, problem.motion, least), problem) == []
+    for key, value in least.items():
+        with pytest.raises(ValueError, match=rf"planner_options\.{key}: {value - 1}: give {value:g} or more"):
+            load_planner(name, problem.graph, problem.motion, {key: value - 1})
 
 
 @pytest.mark.parametrize("name", [*sorted(set(PLANNERS) - APART), f"{OWN}:plan"])

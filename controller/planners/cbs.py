@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import count
 
 from controller.conflicts import find_conflicts, ring_of
@@ -189,7 +189,7 @@ class CbsOptions:
         raises: see ``WhcaOptions``; for problems that CBS does not solve.
     """
 
-    expansions: int = 500
+    expansions: int = field(default=500, metadata={"least": 1})
     raises: int = 10
 
 

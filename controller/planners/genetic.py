@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -66,9 +66,9 @@ class GeneticOptions:
         beta: weight of a unit of delay against a collision.
     """
 
-    generations: int = 60
-    population: int = 40
-    routes: int = 4
+    generations: int = field(default=60, metadata={"least": 1})
+    population: int = field(default=40, metadata={"least": 2})
+    routes: int = field(default=4, metadata={"least": 2})
     mutation: float = 0.1
     beta: float = 0.02
 

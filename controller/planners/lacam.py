@@ -60,7 +60,7 @@ class LacamOptions:
         improve: after the first plan, at most so many times the proposals it took go into improving it.
     """
 
-    proposals: int = 5000
+    proposals: int = field(default=5000, metadata={"least": 1})
     improve: float = 1.0
 
 

@@ -17,7 +17,7 @@ Limits: neither complete nor optimal.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice, permutations
 
 from controller.search.distances import Distances
@@ -38,7 +38,7 @@ class OnlineMapfOptions:
         least_moves: paths of fewer moves that don't reach the goal are dropped.
     """
 
-    permutations: int = 50
+    permutations: int = field(default=50, metadata={"least": 1})
     least_moves: int = 1
 
 

@@ -15,7 +15,7 @@ after ``nodes`` nodes. A problem without a solution so far is planned as by WHCA
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -39,7 +39,7 @@ class PbsOptions:
         raises: see ``WhcaOptions``; for problems that the tree does not solve.
     """
 
-    nodes: int = 256
+    nodes: int = field(default=256, metadata={"least": 1})
     raises: int = 10
 
 

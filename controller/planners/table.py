@@ -113,10 +113,13 @@ def _options(name: str, module: Any, options_name: str, options: Mapping[str, ob
     known = {f.name: f for f in fields(getattr(module, options_name))} if options_name else {}
     for key, value in options.items():
         if key not in known:
-            raise ValueError(f"planner_options.{key}: {name} has no such option; it has {', '.join(known) or 'none'}")
+            raise ValueError(f"planner_options.{key}: {name} has no such option; {one_of(known, key)}")
         default = known[key].default
         if type(value) is not type(default) and not (type(value) is int and type(default) is float):
             raise ValueError(f"planner_options.{key}: {value!r}: give a value like {default!r}")
+        least = known[key].metadata.get("least", 0)
+        if isinstance(value, int | float) and value < least:
+            raise ValueError(f"planner_options.{key}: {value!r}: give {least} or more")
     return getattr(module, options_name)(**options) if options_name else None
 
 
@@ -130,7 +133,7 @@ def _own(name: str) -> Planner:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(f"{name!r}: {path} can't be imported: {type(error).__name__}: {error}") from None
     if not callable(getattr(module, function, None)):
         functions = [

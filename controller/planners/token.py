@@ -17,7 +17,7 @@ with the garage, and cars parked in the way soon leave little of it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,7 @@ class TokenOptions:
             parked in or heads for.
     """
 
-    passes: int = 2
+    passes: int = field(default=2, metadata={"least": 1})
     improvements: int = 3
     late_moves: int = 4
     detours: bool = False
