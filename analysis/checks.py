@@ -21,6 +21,10 @@ RULES: Mapping[str, tuple[str, int]] = {
     "Every car is accounted for": ("cars_conserved", 1),
     "SUMO saw customers at bays where and when the record says": ("customers_witnessed_share", 1),
     "SUMO saw AGVs lift and lower cars where and when the record says": ("agvs_witnessed_share", 1),
+    "SUMO saw AGVs drive as far as the record says": ("distance_witnessed_share", 1),
+    "SUMO saw batteries as the record says": ("battery_witnessed_share", 1),
+    "SUMO saw cars wait in the street as long as the record says": ("street_witnessed_share", 1),
+    "SUMO counted time, collisions and teleports as the record says": ("totals_witnessed_share", 1),
 }
 _CARS = ("arrived", "parked", "left", "in_transit")
 

@@ -99,8 +99,17 @@ METRICS: Mapping[str, tuple[str, str]] = {
     "footprint_overlaps": ("", "overlaps the independent footprint check saw"),
     "turns_under_cars": ("", "turns of an empty AGV under a parked car, in slots too short to drive straight out of"),
     "least_clearance_m": ("m", "least distance between two bodies"),
-    "customers_witnessed_share": ("", "share of customers' stays at bays that SUMO's outputs confirm"),
-    "agvs_witnessed_share": ("", "share of the lifting and lowering of cars that SUMO's outputs confirm"),
+    **{
+        f"{name}_witnessed_share": ("", f"share of the facts about {what} that SUMO's outputs confirm")
+        for name, what in (
+            ("customers", "customers' stays at bays"),
+            ("agvs", "the lifting and lowering of cars"),
+            ("distance", "the distances of AGVs"),
+            ("battery", "the batteries of AGVs"),
+            ("street", "the queue in the street"),
+            ("totals", "collisions, teleports and time"),
+        )
+    },
     "steps": ("steps", "planning steps simulated"),
     "throughput": ("tasks/step", "tasks done per planning step (thesis)"),
     "movement_cost": ("edges", "edges driven, cells on a grid (thesis)"),

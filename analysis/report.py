@@ -69,6 +69,7 @@ def write_report(folder: Path) -> Path:
         story_count=int(metrics["deadlocks_found"]),
         pictures=[(clock.at(d.found_s), why(d), draw(d, run.vertices, run.edges)) for d in deadlocks(run)[:_PICTURES]],
         incidents=incidents(run)[:_STORIES],
+        contradictions=[line for seen in (run.meta.get("witnesses") or {}).values() for line in seen["words"]],
         held=run.meta.get("held") or (),
         waits=[wait_words(wait, run, clock) for wait in longest_waits(run)],
         clock=clock,

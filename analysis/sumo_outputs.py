@@ -48,6 +48,7 @@ class SumoOutputs:
         trips: attributes of each vehicle's ``tripinfo``; those of its battery are among them.
         counts: attributes of ``statistics``, by element and name: ``counts["safety", "collisions"]``.
         lane_ends: lane -> junction where it ends, and its length in metres.
+        longest_crossing_m: length of the longest lane within a junction.
         areas: parkingArea -> name of its bay, and its use ("in" or "out").
     """
 
@@ -55,6 +56,7 @@ class SumoOutputs:
     trips: Mapping[str, Attributes]
     counts: Mapping[tuple[str, str], float]
     lane_ends: Mapping[str, tuple[str, float]]
+    longest_crossing_m: float
     areas: Mapping[str, tuple[str, str]]
 
 
@@ -74,11 +76,13 @@ def read_sumo_outputs(folder: Path) -> SumoOutputs | None:
     if not (folder / _STOPS).is_file():
         return None
     inputs = {tag: row["value"] for tag, row in _elements(folder / _CONFIGURATION) if "value" in row}
+    lane_ends, longest_crossing_m = _lanes(folder / inputs["net-file"])
     return SumoOutputs(
         stops=_stops(folder / _STOPS),
         trips=_trips(folder / "tripinfo.xml"),
         counts=_counts(folder / "statistics.xml"),
-        lane_ends=_lane_ends(folder / inputs["net-file"]),
+        lane_ends=lane_ends,
+        longest_crossing_m=longest_crossing_m,
         areas=_areas(folder / inputs["additional-files"]),
     )
 
@@ -93,7 +97,7 @@ def _stops(path: Path) -> dict[str, list[Stop]]:
                     row["lane"],
                     float(row["pos"]),
                     row.get("parkingArea", ""),
-                    row["type"],
+                    row["type"].split("@")[0],  # "@" and its name follow when a vehicle has a speed of its own
                     float(row["started"]),
                     ended if ended >= 0 else math.inf,
                 )
@@ -120,15 +124,18 @@ def _counts(path: Path) -> dict[tuple[str, str], float]:
     return {(tag, name): float(value) for tag, row in _elements(path) if tag in wanted for name, value in row.items()}
 
 
-def _lane_ends(path: Path) -> dict[str, tuple[str, float]]:
+def _lanes(path: Path) -> tuple[dict[str, tuple[str, float]], float]:
+    """Where lanes end, with their lengths; and the length of the longest lane within a junction."""
     found: dict[str, tuple[str, float]] = {}
-    head = ""
+    head, crossing_m = "", 0.0
     for tag, row in _elements(path, until="junction"):
         if tag == "edge":
             head = row.get("to", "")
         elif tag == "lane" and head:
             found[row["id"]] = (head, float(row["length"]))
-    return found
+        elif tag == "lane":
+            crossing_m = max(crossing_m, float(row["length"]))
+    return found, crossing_m
 
 
 def _areas(path: Path) -> dict[str, tuple[str, str]]:

@@ -10,6 +10,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +23,10 @@ if TYPE_CHECKING:
 
 #: Contradictions that are kept in words; all are counted.
 TOLD = 20
-#: Seconds in which SUMO shows a car that was handed over: it waits until no other car drives past the bay.
-SHOWN_WITHIN_S = 30.0
+#: Seconds for which traffic on the street may keep a leaving car from appearing at its bay, and from driving off.
+TRAFFIC_S = 30.0
+#: Steps after which the record's state of charge is read anew at the latest, and watts that an AGV needs to drive.
+BATTERY_STEPS, DRIVING_W = 120, 1000.0
 #: Metres between the front of an AGV and the end of its lane that still count as "at the vertex".
 AT_VERTEX_M = 1.0
 
@@ -63,11 +66,17 @@ class _Case:
     step_s: float
     end_s: float
 
-    def near(self, recorded_s: float, seen_s: float) -> bool:
-        """Whether a time of the run is a time of SUMO's. What lasted to the end has no time of its own."""
-        recorded = self.end_s if math.isnan(recorded_s) else recorded_s
-        seen = self.end_s if math.isinf(seen_s) else seen_s - self.start_s
-        return abs(recorded - seen) <= self.step_s + 1e-6
+    def clock(self, seen_s: float) -> float:
+        """A time of SUMO's on the run's clock; the run's end if it never came."""
+        return self.end_s if math.isinf(seen_s) else seen_s - self.start_s
+
+    def within(self, late_s: float, most_s: float = 0.0) -> bool:
+        """Whether something came in its step, or at most so much later."""
+        return -self.step_s - 1e-6 <= late_s <= most_s + self.step_s + 1e-6
+
+    def in_last_step(self, seen_s: float) -> bool:
+        """Whether something happened so late that the run had no step left to write it down."""
+        return self.within(self.end_s - self.clock(seen_s))
 
 
 def witnesses(run: Run, folder: Path) -> dict[str, dict[str, Any]]:
@@ -95,50 +104,60 @@ def witnesses(run: Run, folder: Path) -> dict[str, dict[str, Any]]:
 def _customers(case: _Case) -> Testimony:
     """Each customer's car stood at the parkingArea of the bay that ``tasks`` names, from when to when it says."""
     told = Testimony()
-    stays = {
-        vehicle: [stop for stop in stops if stop.area]
-        for vehicle, stops in case.seen.stops.items()
-        if any(stop.area for stop in stops)
-    }
     if not case.seen.areas:
         return told
+    parked = {vehicle: [stop for stop in stops if stop.area] for vehicle, stops in case.seen.stops.items()}
+    stays = {vehicle: stops for vehicle, stops in parked.items() if stops}
     for row in case.run.tasks.to_dict("records"):
-        expected = _expected_stay(row)
+        expected = _expected_stay(row, case.end_s)
         seen = stays.pop(f"customer{row['request']}", [])
         if expected is not None:
-            told.fact(_stay_contradiction(case, row, *expected, seen))
-        elif seen and not case.near(math.nan, seen[0].start_s):
+            told.fact(_stay_contradiction(case, expected, seen))
+        elif seen and not case.in_last_step(seen[0].start_s):
             told.fact(f"request {row['request']}: SUMO saw its car at {seen[0].area}, tasks name no stay at a bay")
     for vehicle, stops in stays.items():
         told.fact(f"SUMO saw {vehicle} at {stops[0].area}; no task is its own")
     return told
 
 
-def _expected_stay(row: Mapping[Any, Any]) -> tuple[str, str, float, float] | None:
-    """Bay, use, from when, to when; None if the car stood at no bay."""
+@dataclass(frozen=True, slots=True)
+class _Stay:
+    """A car stood at a bay's place: that of cars that come (``in``) or that of cars that leave (``out``)."""
+
+    request: int
+    bay: str
+    use: str
+    from_s: float
+    to_s: float
+
+    @property
+    def slack_s(self) -> float:
+        """Seconds that SUMO's stay may begin later and end earlier."""
+        return TRAFFIC_S if self.use == "out" else 0.0
+
+
+def _expected_stay(row: Mapping[Any, Any], end_s: float) -> _Stay | None:
+    """What ``tasks`` says of a request; None if the car stood at no bay."""
     if row["kind"] == "park":
-        stay = (row["origin"], "in", row["at_bay_s"], row["lifted_s"])
+        bay, use, from_s, to_s = row["origin"], "in", row["at_bay_s"], row["lifted_s"]
     else:
-        stay = (row["destination"], "out", row["delivered_s"], row["done_s"])
-    return None if math.isnan(stay[2]) else stay
+        bay, use, from_s, to_s = row["destination"], "out", row["delivered_s"], row["done_s"]
+    if math.isnan(from_s):
+        return None
+    return _Stay(row["request"], bay, use, from_s, end_s if math.isnan(to_s) else to_s)
 
 
-def _stay_contradiction(
-    case: _Case, row: Mapping[Any, Any], bay: str, use: str, from_s: float, to_s: float, seen: list[Stop]
-) -> str:
-    claim = f"request {row['request']}, {row['car']!r}: tasks say {bay} ({use}) from {from_s:.1f} s to {to_s:.1f} s"
-    if not seen and use == "out" and from_s + SHOWN_WITHIN_S > case.end_s and math.isnan(to_s):
+def _stay_contradiction(case: _Case, stay: _Stay, seen: list[Stop]) -> str:
+    claim = f"request {stay.request}: tasks say {stay.bay} ({stay.use}) from {stay.from_s:.1f} to {stay.to_s:.1f} s"
+    if not seen and case.within(case.end_s - stay.from_s, stay.slack_s):
         return ""
     if len(seen) != 1:
         return f"{claim}, SUMO saw {len(seen)} stays"
-    stop = seen[0]
-    there = case.seen.areas.get(stop.area) == (bay, use)
-    late_s = stop.start_s - case.start_s - from_s
-    came = case.near(from_s, stop.start_s) or (use == "out" and 0 <= late_s <= SHOWN_WITHIN_S)
-    if there and came and case.near(to_s, stop.end_s):
+    area, came_s, left_s = seen[0].area, case.clock(seen[0].start_s), case.clock(seen[0].end_s)
+    there = case.seen.areas.get(area) == (stay.bay, stay.use)
+    if there and case.within(came_s - stay.from_s, stay.slack_s) and case.within(stay.to_s - left_s, stay.slack_s):
         return ""
-    seen_s = [stop.start_s - case.start_s, stop.end_s - case.start_s]
-    return f"{claim}, SUMO says {stop.area} from {seen_s[0]:.1f} s to {seen_s[1]:.1f} s"
+    return f"{claim}, SUMO says {area} from {came_s:.1f} to {left_s:.1f} s"
 
 
 # --- AGVs ---------------------------------------------------------------------------------------------------------
@@ -169,7 +188,7 @@ def _agvs(case: _Case) -> Testimony:
         due = actions.pop(vehicle, [])
         loaded = False
         for stop in stops:
-            until_s = stop.end_s - case.start_s + case.step_s / 2
+            until_s = case.clock(stop.end_s) + case.step_s / 2
             while due and due[0].end_s <= until_s:
                 action = due.pop(0)
                 loaded = action.lift
@@ -204,9 +223,9 @@ def _actions(tasks: pd.DataFrame) -> dict[str, list[_Action]]:
 
 def _action_contradiction(case: _Case, vehicle: str, action: _Action, stop: Stop, takes_s: float) -> str:
     vertex, length_m = case.seen.lane_ends.get(stop.lane, ("", math.inf))
-    came_s = stop.start_s - case.start_s
+    came_s = case.clock(stop.start_s)
     there = vertex == action.vertex and stop.pos_m >= length_m - AT_VERTEX_M
-    if there and came_s + takes_s <= action.end_s + case.step_s + 1e-6:
+    if there and case.within(action.end_s - came_s - takes_s, math.inf):
         return ""
     return f"{vehicle}: {_words(action)}, SUMO says it stood at {vertex or stop.lane} from {came_s:.1f} s"
 
@@ -216,5 +235,109 @@ def _words(action: _Action) -> str:
     return f"tasks say the car of request {action.request} was {done} at {action.vertex} until {action.end_s:.1f} s"
 
 
+# --- sums ---------------------------------------------------------------------------------------------------------
+
+
+def _distance(case: _Case) -> Testimony:
+    """Each AGV drove as far as its SUMO trip is long.
+
+    The record adds the lanes up that an AGV drove, SUMO's trip the crossings between them, too, and the parts of lanes
+    at its beginning and end.
+    """
+    told = Testimony()
+    for row in case.run.agvs.to_dict("records"):
+        trip, stops = case.seen.trips.get(f"agv{row['agv']}", {}), case.seen.stops.get(f"agv{row['agv']}", ())
+        ends_m = 2 * max((case.seen.lane_ends[stop.lane][1] for stop in stops), default=0.0)
+        seen_m, driven_m = float(trip.get("routeLength", math.nan)), row["distance_m"]
+        most_m = driven_m + row["moves"] * case.seen.longest_crossing_m
+        right = driven_m - ends_m <= seen_m <= most_m + ends_m
+        told.fact("" if right else f"agv{row['agv']}: the record says {driven_m:.0f} m, SUMO's trip {seen_m:.0f} m")
+    return told
+
+
+def _battery(case: _Case) -> Testimony:
+    """Each battery is as full at the end as SUMO says, and what was drawn from it is what SUMO's AGV consumed.
+
+    What is drawn while the battery is charged does not show in the record, so it may fall short by what was charged.
+    What was drawn from a battery that a fault emptied is not compared: a fault draws nothing that SUMO sees.
+    """
+    told = Testimony()
+    agv_type = (case.run.meta.get("scenario") or {}).get("agv") or {}
+    capacity_wh, charge_w = (float(agv_type.get(key, math.nan)) for key in ("battery_wh", "charge_w"))
+    stale_h = BATTERY_STEPS * case.step_s / 3600.0
+    faults = case.run.details("fault_start").to_dict("records")
+    emptied = {agv for fault in faults if fault["cause"] == "battery" for agv in fault["agvs"]}
+    last = case.run.trajectory.groupby("agv")["soc"].last()
+    for row in case.run.agvs.to_dict("records"):
+        trip = case.seen.trips.get(f"agv{row['agv']}", {})
+        left_wh = float(trip.get("actualBatteryCapacity", math.nan))
+        used_wh = float(trip.get("totalEnergyConsumed", math.nan)) - float(trip.get("totalEnergyRegenerated", math.nan))
+        charged_wh = left_wh + used_wh - capacity_wh
+        stale_wh = max(charge_w, DRIVING_W) * stale_h + 1.0
+        recorded_wh = float(last.get(row["agv"], math.nan)) * capacity_wh
+        right = abs(recorded_wh - left_wh) <= stale_wh
+        told.fact("" if right else f"agv{row['agv']}: {recorded_wh:.0f} Wh left by the record, {left_wh:.0f} by SUMO")
+        if row["agv"] in emptied:
+            continue
+        slack_wh = DRIVING_W * stale_h + 1.0
+        right = used_wh - charged_wh - slack_wh <= row["energy_wh"] <= used_wh + slack_wh
+        told.fact("" if right else f"agv{row['agv']}: {row['energy_wh']:.0f} Wh drawn, SUMO's AGV used {used_wh:.0f}")
+    return told
+
+
+def _street(case: _Case) -> Testimony:
+    """Cars waited in the street, all together, as long as SUMO saw them stand there or had no room for them.
+
+    The record looks now and then (``record.sample_s``), which may be wrong by one look for each wait.
+    """
+    told = Testimony()
+    line = case.run.timeline
+    times = line["time_s"].tolist()
+    if not case.seen.areas or len(times) < 2:
+        return told
+    held = [after - before for before, after in pairwise([*times, max(times[-1], case.end_s)])]
+    recorded_s = sum(cars * seconds for cars, seconds in zip(line["queue"].tolist(), held, strict=True))
+    seen_s, waits = 0.0, 0
+    for row in case.run.tasks.to_dict("records"):
+        if row["kind"] == "park" and row["state"] in ("served", "waiting"):
+            car_s, times_waited = _wait_in_street(case, f"customer{row['request']}", row["requested_s"])
+            seen_s, waits = seen_s + car_s, waits + times_waited
+    right = abs(recorded_s - seen_s) <= waits * (times[1] - times[0]) + 1e-6
+    told.fact("" if right else f"cars waited {recorded_s:.0f} s in the street by the record, {seen_s:.0f} s by SUMO")
+    return told
+
+
+def _wait_in_street(case: _Case, vehicle: str, from_s: float) -> tuple[float, int]:
+    """Seconds that a customer waited before the bay, and how often."""
+    trip = case.seen.trips.get(vehicle)
+    if trip is None:
+        return case.end_s - from_s, 1
+    stops = [stop for stop in case.seen.stops.get(vehicle, ()) if not stop.area]
+    stood_s = sum(case.clock(stop.end_s) - case.clock(stop.start_s) for stop in stops)
+    outside_s = case.clock(float(trip["depart"])) - from_s
+    return outside_s + stood_s + float(trip["waitingTime"]), 1 + len(stops) + int(trip["waitingCount"])
+
+
+def _totals(case: _Case) -> Testimony:
+    """SUMO ran as long, saw collisions or none, and moved nobody by magic."""
+    told = Testimony()
+    counts, meta = case.seen.counts, case.run.meta
+    ran_s = case.clock(counts["performance", "end"])
+    told.fact("" if case.within(ran_s - case.end_s) else f"SUMO ran {ran_s:.1f} s, the record says {case.end_s:.1f} s")
+    collisions = counts["safety", "collisions"]
+    right = bool(collisions) == bool(meta["sumo_collisions"])
+    told.fact("" if right else f"SUMO counted {collisions:.0f} collisions, the record {meta['sumo_collisions']}")
+    teleports = counts["teleports", "total"]
+    told.fact(f"SUMO teleported {teleports:.0f} vehicles" if teleports else "")
+    return told
+
+
 #: Name -> witness, in the order of a report.
-WITNESSES: Mapping[str, Callable[[_Case], Testimony]] = {"customers": _customers, "agvs": _agvs}
+WITNESSES: Mapping[str, Callable[[_Case], Testimony]] = {
+    "customers": _customers,
+    "agvs": _agvs,
+    "distance": _distance,
+    "battery": _battery,
+    "street": _street,
+    "totals": _totals,
+}

@@ -132,6 +132,10 @@ def test_incidents_and_failed_checks_are_told() -> None:
         "Every car is accounted for": None,
         "SUMO saw customers at bays where and when the record says": None,
         "SUMO saw AGVs lift and lower cars where and when the record says": None,
+        "SUMO saw AGVs drive as far as the record says": None,
+        "SUMO saw batteries as the record says": None,
+        "SUMO saw cars wait in the street as long as the record says": None,
+        "SUMO counted time, collisions and teleports as the record says": None,
     }
     assert failed_checks(run_checks(run.meta, run_metrics(run))) == (
         "No overlap seen by the independent check: no (1 overlaps)",

@@ -62,6 +62,7 @@ def run(out: Path, faults: dict[str, Any], **keys: Any) -> tuple[Summary, list[d
 def nothing_lost(summary: Summary) -> None:
     metrics = summary.metrics
     assert summary.status == "finished"
+    assert summary.failed == ()
     assert metrics["tasks_done"] == metrics["tasks_wanted"] > 0
     assert metrics["requests_conserved"]
     assert metrics["cars_conserved"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import html
 import json
 import random
 import re
@@ -20,6 +21,7 @@ import parking_sim.assembly
 import sumo_nets.build
 from analysis.checks import failed_checks, run_checks
 from analysis.metrics import run_metrics
+from analysis.report import write_report
 from analysis.tables import Run, load_run
 from analysis.witness import WITNESSES, witnesses
 from parking_sim.config import check_scenario
@@ -101,7 +103,7 @@ def test_fewer_bays_are_the_ones_of_the_layout(tmp_path: Path, tall: Path) -> No
 
 def test_the_script_of_the_docs_finds_the_same(tall_run: Run, tmp_path: Path, tall: Path) -> None:
     script = re.search(r"```python\n(.*?)```", (DOCS / "witnesses.md").read_text(encoding="utf-8"), re.DOTALL)[1]
-    assert len(script.splitlines()) <= 12
+    assert len(script.splitlines()) == 10
     (tmp_path / "stays.py").write_text(script, encoding="utf-8")
     record = park_and_exit(tmp_path / "run", str(tall))
     told = subprocess.run(
@@ -135,29 +137,41 @@ def test_a_broken_seam_between_controller_and_plant_is_seen(
     assert customers["words"][0] in failed
     assert "tasks say bay2_9w (in)" in failed
     assert "SUMO says bay2_12w_in" in failed
+    page = write_report(tmp_path / "run").read_text(encoding="utf-8")
+    assert all(html.escape(line) in page for line in customers["words"])
 
 
 @pytest.mark.parametrize(
-    ("table_change", "witness", "needed"),
+    ("table", "column", "change", "witness", "needed"),
     [
-        ({"at_bay_s": 5.0}, "customers", "from"),
-        ({"lifted_s": 5.0}, "customers", "to"),
-        ({"request": 1000}, "customers", "SUMO saw 0 stays"),
-        ({"agv": 1}, "agvs", "tasks say the car of request"),
-        ({"destination": "slot5_8n1"}, "agvs", "was lowered at slot5_8n1"),
+        ("tasks", "at_bay_s", 5.0, "customers", "tasks say bay2_9w (in) from"),
+        ("tasks", "lifted_s", 5.0, "customers", "SUMO says bay2_9w_in from"),
+        ("tasks", "request", 1000, "customers", "SUMO saw 0 stays"),
+        ("tasks", "agv", 1, "agvs", "tasks say the car of request"),
+        ("tasks", "destination", "slot5_8n1", "agvs", "was lowered at slot5_8n1"),
+        ("tasks", "delivered_s", -40.0, "agvs", "was lowered at"),
+        ("agvs", "distance_m", 100.0, "distance", "m, SUMO's trip"),
+        ("agvs", "energy_wh", 30.0, "battery", "Wh drawn, SUMO's AGV used"),
+        ("trajectory", "soc", -0.05, "battery", "Wh left by the record"),
+        ("timeline", "queue", 1, "street", "s in the street by the record"),
     ],
 )
 def test_a_record_that_says_otherwise_is_contradicted(
-    tall_run: Run, tmp_path: Path, table_change: dict[str, float | str], witness: str, needed: str
+    tall_run: Run, table: str, column: str, change: float | str, witness: str, needed: str
 ) -> None:
-    tasks = tall_run.tasks.copy()
-    for column, change in table_change.items():
-        row = tasks.index[0]
-        tasks.loc[row, column] = change if isinstance(change, str) else tasks.loc[row, column] + change
-    lying = Run("lying", tall_run.meta, lambda table: tasks if table == "tasks" else tall_run.read(table))
-    seen = witnesses(lying, tall_run.read.args[0])[witness]
-    assert seen["wrong"] > 0
-    assert any(needed in line for line in seen["words"])
+    wrong = tall_run.read(table).copy()
+    rows = wrong.index[:1] if table in ("tasks", "agvs") else wrong.index
+    wrong.loc[rows, column] = change if isinstance(change, str) else wrong.loc[rows, column] + change
+    lying = replace(tall_run, read=lambda name: wrong if name == table else tall_run.read(name))
+    seen = witnesses(lying, tall_run.folder)
+    assert [line for line in seen[witness]["words"] if needed in line]
+    assert seen[witness]["wrong"] >= len(seen[witness]["words"]) > 0
+
+
+@pytest.mark.parametrize(("key", "change"), [("simulated_s", 2.0), ("sumo_collisions", 1)])
+def test_totals_that_say_otherwise_are_contradicted(tall_run: Run, key: str, change: float) -> None:
+    lying = replace(tall_run, meta={**tall_run.meta, key: tall_run.meta[key] + change})
+    assert witnesses(lying, tall_run.folder)["totals"]["wrong"] == 1
 
 
 def test_nothing_is_confirmed_without_outputs(tmp_path: Path) -> None:

@@ -21,10 +21,11 @@ def run(folder: Path, **keys: Any) -> Run:
 
 
 def check_whole(record: Run) -> None:
-    """Nobody met, nothing and nobody got lost: by the run's own figures, and by its tables."""
+    """Nobody met, nothing and nobody got lost: by the run's own figures, its tables, and SUMO's outputs."""
     meta, tasks = record.meta, record.tasks
     assert meta["audit"] == []
     assert (meta["sumo_collisions"], meta["footprint_overlaps"]) == (0, 0)
+    assert [words for testimony in meta["witnesses"].values() for words in testimony["words"]] == []
     arrived = tasks[(tasks.kind == "park") & ~tasks.state.isin(("turned_away", "void"))]
     parked = arrived[arrived.state == "served"]
     gone = tasks[(tasks.kind == "retrieve") & (tasks.state == "served")]
