@@ -156,8 +156,12 @@ def compare(
         The comparison; measures that either variant has nothing for are left out.
 
     Raises:
-        InputError: fewer than two seeds in common, or a seed twice in one variant.
+        InputError: fewer than two seeds in common, a seed twice in one variant, or a warm-up that leaves nothing.
     """
+    for runs, name in zip((a, b), names, strict=True):
+        ((shortest_s,),) = runs.sql("SELECT min(simulated_s) FROM runs").fetchall()
+        if warmup_s >= shortest_s:
+            raise InputError(f"--warmup: {warmup_s / 60:g} minutes: {name} has a run of {shortest_s / 60:g} minutes")
     tables = [measure_runs(runs, warmup_s) for runs in (a, b)]
     for table, name in zip(tables, names, strict=True):
         if table["seed"].duplicated().any():

@@ -144,6 +144,11 @@ def test_nothing_in_common(tmp_path: Path) -> None:
         compare(load_runs(tmp_path / "a"), load_runs(tmp_path / "b"))
 
 
+def test_a_warm_up_that_leaves_nothing(pairs: Path) -> None:
+    with pytest.raises(InputError, match="--warmup: 60 minutes: B has a run of 60 minutes"):
+        compare(load_runs(pairs), load_runs(pairs), ("B", "C"), warmup_s=END_S)
+
+
 def test_names() -> None:
     assert variant_names("runs/x:agvs=2", "runs/x:agvs=4") == ("agvs=2", "agvs=4")
     assert variant_names("runs/x", "runs/y") == ("x", "y")
