@@ -107,7 +107,7 @@ COMPLAINTS: dict[str, tuple[list[Change], str]] = {
     "slow": ([lane("c3_0-c4_0", 'speed="5.00"', 'speed="0.05"')], "c3_0-c4_0: 0.05 m/s; 0.1 m/s or more is valid"),
     "one longer than the other": ([lane("c3_0-c4_0", "6.60", "6.65")], "c3_0-c4_0: 6.65 m, but 6.60 m in the other"),
     "longer than drawn": ([lane("c2_1-c2_0", 'length="6.60"', 'length="9.60"')], "9.60 m long, but drawn with 6.60 m"),
-    "junction elsewhere": ([("net", 'x="14.00" y="-7.00"', 'x="19.00" y="-7.00"')], "c2_1: its lanes end 5.00 m beside"),
+    "junction elsewhere": ([("net", 'x="14.00" y="-7.00"', 'x="19.00" y="-7.00"')], "its lanes end 5.00 m beside it"),
     "station beside the stop": ([station('startPos="0" endPos="0.5"')], "no chargingStation covers"),
     "station on another lane": ([("add", CHARGED, "c2_1-c2_0_0")], "no chargingStation covers"),
     "no way out of a refuge": ([lane("refuge8_0n-c8_0", "tram", "bus")], "an AGV that drives there has no way back"),
