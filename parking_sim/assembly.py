@@ -113,7 +113,7 @@ def assemble(scenario: Scenario) -> World:
     for key, wrong in unknown_names(scenario):
         raise InputError(f"{key}: {wrong}")
     whole = read_net(scenario.garage_source)
-    require_fit(whole, (scenario.agv.length_m, scenario.agv.width_m))
+    require_fit(whole, scenario.agv.size_m)
     net = first_places(whole, scenario.bays, scenario.chargers)
     homes = net.graph.homes
     if scenario.agvs > len(homes):

@@ -25,6 +25,7 @@ from sumo_nets.wording import one_of
 
 if TYPE_CHECKING:
     from analysis.clock import Clock
+    from parking_sim.config import Scenario
     from parking_sim.simulation import Progress, Summary
 
 #: Exit codes: a run did not finish its work, or a check of it failed; bad input; Ctrl-C.
@@ -122,7 +123,7 @@ def run(
     from parking_sim.simulation import simulate
 
     if not quiet:
-        _warn_of_blocked_ways(loaded.garage_source)
+        _warn_of_blocked_ways(loaded)
     with _progress_bar(name, quiet) as progress:
         summary = simulate(loaded, folder, gui=gui, fcd=fcd, progress=progress)
     replayed = loaded.record.replay if replay is None else replay
@@ -381,12 +382,18 @@ def _verdict(summary: Summary, has_end: bool) -> int:
     return 0 if ended and not summary.failed else UNFINISHED
 
 
-def _warn_of_blocked_ways(garage: str | Path) -> None:
-    """One line if AGVs at their end points may be in others' way, which not every planner copes with."""
+def _warn_of_blocked_ways(scenario: Scenario) -> None:
+    """One line if AGVs at their end points may be in others' way, which not every planner copes with.
+
+    Raises:
+        NetError: the run would be refused.
+    """
+    from sumo_nets.check import require_fit
     from sumo_nets.read import read_net
     from sumo_nets.well_formed import blocked_ways, describe
 
-    net = read_net(garage)
+    net = read_net(scenario.garage_source)
+    require_fit(net, scenario.agv.size_m)
     if blocked_ways(net.graph):
         print(f"warning: {net.name} is {describe(net.graph)}", file=sys.stderr)
 

@@ -132,6 +132,11 @@ class AgvConfig(_Options):
     charge_below: float = Field(default=0.3, ge=0, lt=1, description="state of charge that sends it to charge, 0 to 1")
     charge_to: float = Field(default=0.9, gt=0, le=1, description="state of charge at which charging ends, 0 to 1")
 
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Length and width, metres."""
+        return self.length_m, self.width_m
+
     @model_validator(mode="after")
     def _charging_in_order(self) -> Self:
         if self.charge_below >= self.charge_to:

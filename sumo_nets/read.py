@@ -170,8 +170,8 @@ def _agv_lanes(net: NetFile) -> dict[str, Lane]:
     for name, usable in net.open_to("tram").items():
         if name in cars:
             raise NetError(
-                f"{net.path}: edge {name!r} allows tram and passenger: AGVs and customers' cars keep apart, so that"
-                " one of them is valid"
+                f"{net.path}: edge {name!r} allows tram and passenger: allow only one of them, because AGVs and"
+                " customers' cars keep apart"
             )
         if len(usable) > 1 or usable[0].index > 0:
             found = ", ".join(str(lane.index) for lane in usable)

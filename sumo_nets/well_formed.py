@@ -11,7 +11,7 @@ from collections import deque
 
 import networkx as nx
 
-from sumo_nets.graph import Graph
+from sumo_nets.graph import ROLES, Graph
 from sumo_nets.numbering import Vertex
 
 
@@ -50,6 +50,12 @@ def describe(graph: Graph) -> str:
     pairs = blocked_ways(graph)
     if not pairs:
         return "well-formed: end points block nobody"
-    u, v = (graph.names[w] for w in pairs[0])
-    more = f" and {len(pairs) - 1} other ways" if len(pairs) > 1 else ""
-    return f"not well-formed: every way from {u} to {v}{more} leads through another end point"
+    (u, v), model = pairs[0], graph.to_networkx()
+    way = nx.shortest_path(model, u, v)[1:-1] if nx.has_path(model, u, v) else []
+    roles = [role for role in ROLES if role != "refuge"]
+    passed = [f" ({role} {graph.names[w]})" for w in way for role in roles if w in graph.roles[role]]
+    more = f", and so for {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
+    return (
+        f"not well-formed: every way from {graph.names[u]} to {graph.names[v]} leads through another end point"
+        f"{passed[0] if passed else ''}{more}"
+    )

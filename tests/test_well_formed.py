@@ -45,5 +45,5 @@ def test_our_garages_are_well_formed(name):
 def test_a_slot_in_the_aisle_is_named():
     graph = grid_graph("aisle", ["e.e.e"])
     assert describe(graph) == (
-        "not well-formed: every way from 0,0 to 4,0 and 1 other ways leads through another end point"
+        "not well-formed: every way from 0,0 to 4,0 leads through another end point (slot 2,0), and so for 1 more pairs"
     )
