@@ -16,8 +16,6 @@ from pathlib import Path
 
 Attributes = dict[str, str]
 
-_CONFIGURATION, _STOPS = "run.sumocfg", "stops.xml"
-
 
 @dataclass(frozen=True, slots=True)
 class Stop:
@@ -60,25 +58,23 @@ class SumoOutputs:
     areas: Mapping[str, tuple[str, str]]
 
 
-def read_sumo_outputs(folder: Path) -> SumoOutputs | None:
+def read_sumo_outputs(folder: Path) -> SumoOutputs:
     """Read what SUMO wrote into the folder of a run.
 
     Args:
         folder: folder of a run that has ended.
 
     Returns:
-        SUMO's account; None if SUMO wrote none, as in a run of the discrete plant.
+        SUMO's account.
 
     Raises:
         OSError: a file is missing or can't be read.
         xml.parsers.expat.ExpatError: a file is not XML.
     """
-    if not (folder / _STOPS).is_file():
-        return None
-    inputs = {tag: row["value"] for tag, row in _elements(folder / _CONFIGURATION) if "value" in row}
+    inputs = {tag: row["value"] for tag, row in _elements(folder / "run.sumocfg") if "value" in row}
     lane_ends, longest_crossing_m = _lanes(folder / inputs["net-file"])
     return SumoOutputs(
-        stops=_stops(folder / _STOPS),
+        stops=_stops(folder / "stops.xml"),
         trips=_trips(folder / "tripinfo.xml"),
         counts=_counts(folder / "statistics.xml"),
         lane_ends=lane_ends,

@@ -7,6 +7,7 @@ listed in docs/witnesses.md.
 from __future__ import annotations
 
 import math
+import xml.parsers.expat
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -87,14 +88,20 @@ def witnesses(run: Run, folder: Path) -> dict[str, dict[str, Any]]:
         folder: where SUMO's outputs are.
 
     Returns:
-        By witness (a key of ``WITNESSES``) the fields of its ``Testimony``; empty if SUMO wrote nothing.
+        By witness (a key of ``WITNESSES``) the fields of its ``Testimony``; empty if the run was not in SUMO. Outputs
+        that can't be read are a contradiction.
     """
-    seen = read_sumo_outputs(folder)
-    if seen is None:
-        return {}
     meta = run.meta
-    case = _Case(run, seen, meta["sumo_start_s"], meta["step_s"], meta["simulated_s"])
-    found = {name: witness(case) for name, witness in WITNESSES.items()}
+    if meta.get("sumo_start_s") is None:
+        return {}
+    try:
+        seen = read_sumo_outputs(folder)
+    except (OSError, xml.parsers.expat.ExpatError) as error:
+        found = {"totals": Testimony()}
+        found["totals"].fact(f"SUMO's outputs can't be read: {error}")
+    else:
+        case = _Case(run, seen, meta["sumo_start_s"], meta["step_s"], meta["simulated_s"])
+        found = {name: witness(case) for name, witness in WITNESSES.items()}
     return {name: {"facts": t.facts, "wrong": t.wrong, "words": t.words} for name, t in found.items()}
 
 

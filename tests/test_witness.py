@@ -7,6 +7,7 @@ import html
 import json
 import random
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -172,6 +173,16 @@ def test_a_record_that_says_otherwise_is_contradicted(
 def test_totals_that_say_otherwise_are_contradicted(tall_run: Run, key: str, change: float) -> None:
     lying = replace(tall_run, meta={**tall_run.meta, key: tall_run.meta[key] + change})
     assert witnesses(lying, tall_run.folder)["totals"]["wrong"] == 1
+
+
+def test_outputs_that_cannot_be_read_confirm_nothing(tall_run: Run, tmp_path: Path) -> None:
+    for text in (None, "<stops><stopinfo"):
+        if text is not None:
+            shutil.copytree(tall_run.folder, tmp_path / "run")
+            (tmp_path / "run" / "stops.xml").write_text(text)
+        (seen,) = witnesses(tall_run, tmp_path / "run").values()
+        assert (seen["facts"], seen["wrong"]) == (1, 1)
+        assert "can't be read" in seen["words"][0]
 
 
 def test_nothing_is_confirmed_without_outputs(tmp_path: Path) -> None:
