@@ -91,7 +91,7 @@ def draw_waits(run: Run) -> Figure | None:
         ("park_queue", "parking: arrival to bay", ORANGE, "--"),
         ("park_wait", "parking: bay to car on the AGV", GREEN, "-."),
     ]
-    values = waits(run.tasks)
+    values = waits(run.tasks, float(run.meta.get("simulated_s") or 0.0))
     if not any(len(values[name]) for name, *_ in shown):
         return None
     figure, (axes,) = new_figure(2.9)
@@ -277,8 +277,8 @@ def draw_floor(run: Run) -> Figure | None:
 FIGURES: Mapping[str, tuple[str, str, Callable[[Run], Any]]] = {
     "waits": (
         "How long customers waited",
-        "Share of customers who waited at most so long, of those whose wait came to an end; customers turned away are"
-        " not among them. Dotted: the service levels of 180 and 300 s.",
+        "Share of customers who waited at most so long. A wait that had not ended counts with its length so far; customers "
+        "turned away are not among them. Dotted: the service levels of 180 and 300 s.",
         draw_waits,
     ),
     "waits_over_time": (

@@ -1,9 +1,9 @@
 """What runs are compared by: a few measures of each run after a warm-up, and intervals for their means.
 
-Unlike the metrics of a single run, a wait that has not ended when the run does counts with its length so far, so that a
-controller that serves some customers quickly and others never does not look good. Customers who were turned away have
-no wait; their share is a measure of its own. Sizing and tuning count each of them as one who waits without end, so that
-nothing looks good because customers are turned away.
+Without a warm-up these are the metrics of a single run. A wait that has not ended when the run does counts with its
+length so far, so that a controller that serves some customers quickly and others never does not look good. Customers
+who were turned away have no wait; their share is a measure of its own. Sizing and tuning count each of them as one who
+waits without end, so that nothing looks good because customers are turned away.
 
 Means over seeds get Student's t interval: each run is one independent observation, however many customers it had. With
 the few runs one can afford it keeps its confidence better than the bootstrap, whose intervals are too short for ten
@@ -202,7 +202,12 @@ def _served_query(warmup_s: float) -> str:
 
 
 def _queue_query(warmup_s: float) -> str:
-    return f"SELECT run, avg(queue) AS queue_mean FROM timeline WHERE time_s >= {warmup_s!r} GROUP BY run"
+    held = "coalesce(lead(time_s) OVER (PARTITION BY run ORDER BY time_s), simulated_s) - time_s"
+    return (
+        "SELECT run, sum(queue * held_s) / nullif(sum(held_s), 0) AS queue_mean FROM ("
+        f"SELECT run, queue, {held} AS held_s FROM timeline JOIN runs USING (run) WHERE time_s >= {warmup_s!r}"
+        ") GROUP BY run"
+    )
 
 
 def _deadlocks_query(warmup_s: float) -> str:

@@ -1,6 +1,8 @@
 """What a run was worth, as numbers: the thesis' seven metrics and those a garage's owner asks for.
 
-Quantiles of samples (waits, planning times) interpolate linearly between order statistics (numpy's default). Quantiles
+A wait that has not ended when the run does counts with its length so far, so that a garage that serves some customers
+quickly and others never does not look good. Quantiles of samples (waits, planning times) interpolate linearly between
+order statistics (numpy's default). Quantiles
 over time (queue) are the least value that held for at least that share of the time; a sample holds until the next one.
 A number that can't be known (no such task, not recorded) is NaN, null in ``metrics.json``. Keys that start with
 ``wall_`` are wall-clock times and differ from run to run.
@@ -15,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.measures import statistic
 from analysis.tables import Run, load_run
 from analysis.turned_away import turned_away
 from analysis.witness import WITNESSES
@@ -92,7 +95,7 @@ METRICS: Mapping[str, tuple[str, str]] = {
     "deadlocks_found": ("", "deadlocks detected"),
     "deadlocks_resolved": ("", "deadlocks resolved"),
     "deadlocks_unresolved": ("", "deadlocks found but not resolved"),
-    "deadlock_p50_s": ("s", "time from detection to resolution, median"),
+    "deadlock_p50_s": ("s", "time from the beginning of the wait to the resolution, median"),
     "deadlock_p95_s": ("s", "the same, 95 % quantile"),
     "deadlock_max_s": ("s", "the same, longest"),
     "sumo_collisions": ("", "collisions SUMO reported"),
@@ -171,23 +174,25 @@ def write_metrics(folder: Path) -> Metrics:
     return metrics
 
 
-def waits(tasks: pd.DataFrame) -> dict[str, NDArray[np.float64]]:
+def waits(tasks: pd.DataFrame, end_s: float) -> dict[str, NDArray[np.float64]]:
     """The waits that customers had.
 
     Args:
         tasks: table ``tasks``.
+        end_s: end of the run, simulated seconds; a wait that has not ended by then counts with its length so far.
 
     Returns:
         Seconds by name as in ``METRICS`` (``retrieval_wait``, ``retrieval_total``, ``park_queue``, ``park_wait``,
-        ``park_total``), in the order of requests, only of those that came to an end.
+        ``park_total``), in the order of requests, of those that began.
     """
-    park, retrieve = (tasks[tasks["kind"] == kind] for kind in ("park", "retrieve"))
+    let_in = tasks[tasks["state"].isin(["served", "waiting"])]
+    park, retrieve = (let_in[let_in["kind"] == kind] for kind in ("park", "retrieve"))
     differences = {
-        "retrieval_wait": retrieve["delivered_s"] - retrieve["requested_s"],
-        "retrieval_total": retrieve["done_s"] - retrieve["requested_s"],
-        "park_queue": park["at_bay_s"] - park["requested_s"],
-        "park_wait": park["lifted_s"] - park["at_bay_s"],
-        "park_total": park["delivered_s"] - park["requested_s"],
+        "retrieval_wait": retrieve["delivered_s"].fillna(end_s) - retrieve["requested_s"],
+        "retrieval_total": retrieve["done_s"].fillna(end_s) - retrieve["requested_s"],
+        "park_queue": park["at_bay_s"].fillna(end_s) - park["requested_s"],
+        "park_wait": park["lifted_s"].fillna(end_s) - park["at_bay_s"],
+        "park_total": park["delivered_s"].fillna(end_s) - park["requested_s"],
     }
     return {name: column.dropna().to_numpy(dtype=np.float64) for name, column in differences.items()}
 
@@ -271,11 +276,9 @@ def _cars(run: Run) -> Metrics:
 
 def _waits(run: Run) -> Metrics:
     metrics: Metrics = {}
-    for name, values in waits(run.tasks).items():
-        metrics[f"{name}_mean_s"] = float(values.mean()) if len(values) else NAN
-        metrics[f"{name}_max_s"] = float(values.max()) if len(values) else NAN
-        for percent in (50, 90, 95, 99):
-            metrics[f"{name}_p{percent}_s"] = _quantile(values, percent / 100)
+    for name, values in waits(run.tasks, _number(run, "simulated_s")).items():
+        for key in _STATISTICS:
+            metrics[f"{name}_{key}_s"] = statistic(key, sorted(values))
     for level in SERVICE_LEVELS_S:
         metrics[f"retrieval_within_{level}_s_share"] = share_within(run.tasks, level, _number(run, "simulated_s"))
     return metrics

@@ -189,12 +189,9 @@ class _Run:
         try:
             while True:
                 self._customers()
-                if self._finished():
-                    return "finished"
-                if self.now_s >= end_s:
-                    return "time_limit"
-                if self._stalled(end_s):
-                    return "stalled"
+                if status := self._status(end_s):
+                    self._sample()
+                    return status
                 self._control()
                 if self.step % sample_every == 0:
                     self._sample()
@@ -209,6 +206,14 @@ class _Run:
                     self._tell()
         except KeyboardInterrupt:
             return "interrupted"
+
+    def _status(self, end_s: float) -> str:
+        """How the run has ended, "" while it goes on."""
+        if self._finished():
+            return "finished"
+        if self.now_s >= end_s:
+            return "time_limit"
+        return "stalled" if self._stalled(end_s) else ""
 
     def _control(self) -> None:
         t = perf_counter()

@@ -1,0 +1,105 @@
+"""Waits have a reason: a run whose work is lost ends at once and says why, and no other run ends before its time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from analysis.explain import explain
+from analysis.faults import FaultSpan
+from analysis.holds import Held, ending, long_waits, reason
+from analysis.tables import load_run
+from parking_sim import simulation
+from parking_sim.config import check_scenario
+from parking_sim.simulation import STALLED_S, Summary, simulate
+from sumo_nets.read import read_net
+
+EVER = 1e9
+
+
+def run(out: Path, script: list[dict[str, Any]], **keys: Any) -> Summary:
+    """Every car in and out of map1 in ticks, with faults at fixed times."""
+    scenario = {"garage": "map1", "agvs": 4, "seed": 3, "plant": "discrete", "record": {"replay": False}}
+    return simulate(check_scenario({**scenario, "faults": {"script": script}, **keys}, "test", Path()), out)
+
+
+def to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let runs go on whatever ``for_ever`` says."""
+    monkeypatch.setattr(simulation._Run, "_held_for_ever", lambda run, end_s: False)
+
+
+BAYS = [read_net("map1").graph.names[v] for v in read_net("map1").graph.bays]
+SLOTS = [read_net("map1").graph.names[v] for v in read_net("map1").graph.slots]
+#: What stops map1 for ever -> the faults, and words that the reason must hold.
+STOPS: dict[str, tuple[list[dict[str, Any]], tuple[str, ...]]] = {
+    "zone": ([{"kind": "zone_stop", "place": "c2_5"}], ("zone stop 0 round c2_5 closes c2_5, ", "no bay is free")),
+    "all": ([{"kind": "all_stop"}], ("AGV 0, 1, 2 and 3: cannot move", "all stop of AGV 0, 1, 2 and 3")),
+    "bays": ([{"kind": "bay", "place": bay} for bay in BAYS], ("no bay is free", f"{BAYS[0]} (bay) is out of order")),
+    "slots": ([{"kind": "blocked", "place": slot} for slot in SLOTS], ("no slot is free", f"{SLOTS[0]} is blocked")),
+    "fleet": ([{"kind": "breakdown", "agv": n} for n in range(4)], ("AGV 2: cannot move: breakdown of AGV 2",)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", STOPS)
+def test_a_run_that_nothing_can_help_ends_at_once_and_says_why(tmp_path, monkeypatch, name):
+    """No request would have been served later: the same run, told to go on, serves none."""
+    script, told = STOPS[name]
+    script = [{"at_s": 150.0, "for_s": EVER, **fault} for fault in script]
+    early = run(tmp_path / "early", script)
+    assert early.status == "stalled"
+    assert early.metrics["simulated_s"] < 1500.0
+    held = " ".join(early.held)
+    for words in told:
+        assert words.split(": breakdown")[0] in held
+    assert "and has not ended" in held
+    assert json.loads((tmp_path / "early" / "run.json").read_text())["held"] == [*early.held]
+    assert f"held at the end: {early.held[0]}" in explain(tmp_path / "early", None, None)
+    to_the_end(monkeypatch)
+    late = run(tmp_path / "late", script)
+    assert late.status == "stalled"
+    assert late.metrics["simulated_s"] >= STALLED_S
+    assert late.metrics["tasks_done"] == early.metrics["tasks_done"]
+    assert {line.partition(". ")[0] for line in late.held} == {line.partition(". ")[0] for line in early.held}
+
+
+@pytest.mark.parametrize("name", STOPS)
+def test_a_stop_that_ends_stops_no_run(tmp_path, monkeypatch, name):
+    """However long it lasts: the run is the one that it would be if nobody asked whether it can go on."""
+    script = [{"at_s": 150.0, "for_s": 1.25 * STALLED_S, **fault} for fault in STOPS[name][0]]
+    digests = []
+    for out in (tmp_path / "asked", tmp_path / "not_asked"):
+        summary = run(out, script)
+        assert (summary.status, summary.held) == ("finished", ())
+        assert summary.metrics["tasks_done"] == summary.metrics["tasks_wanted"]
+        digests.append(json.loads((out / "run.json").read_text())["digest"])
+        to_the_end(monkeypatch)
+    assert digests[0] == digests[1]
+
+
+def test_a_run_with_a_duration_is_simulated_whole(tmp_path):
+    """Its rates and waits count to the end that was asked for."""
+    script = [{"at_s": 150.0, "for_s": EVER, "kind": "all_stop"}]
+    summary = run(tmp_path / "run", script, duration_s=1800.0)
+    assert (summary.status, summary.metrics["simulated_s"]) == ("time_limit", 1800.0)
+    assert "all stop" in summary.held[0]
+    waits = long_waits(load_run(tmp_path / "run"))
+    assert {wait.agv for wait in waits if wait.reasons[-1].startswith("cannot move: all stop")} == {0, 1, 2, 3}
+    assert all(wait.start_s >= 100.0 for wait in waits)
+
+
+def test_a_wait_is_told_with_its_chain_and_its_fault():
+    fault = FaultSpan(4, "breakdown", (7,), (), 10.0, 500.0)
+    behind = Held(2, 5, "car5", "fault", (3, 7), (4,), "x")
+    itself = Held(7, -1, "", "fault", (), (4,), "x")
+    assert reason(behind, {4: fault}, 60.0) == "waits for AGV 3 and 7: AGV 7 cannot move: breakdown of AGV 7 (fault 4)"
+    assert reason(itself, {4: fault}, 60.0) == "cannot move: breakdown of AGV 7 (fault 4)"
+    assert ending([behind, itself], {4: fault}, 60.0) == [
+        "breakdown of AGV 7 (fault 4). AGV 2: AGV 7 cannot move; AGV 7: cannot move"
+    ]
+    stopped = FaultSpan(5, "stop", (1,), (), 10.0, 500.0)
+    unknown = Held(1, -1, "", "not_moving", (), (), "y")
+    assert reason(unknown, {5: stopped}, 60.0) == "AGV 1 may drive on from y and does not: stop of AGV 1 (fault 5)"
+    assert reason(unknown, {5: stopped}, 600.0) == "AGV 1 may drive on from y and does not"
