@@ -14,16 +14,37 @@ from analysis.holds import Held, ending, long_waits, reason
 from analysis.tables import load_run
 from parking_sim import simulation
 from parking_sim.config import check_scenario
-from parking_sim.simulation import STALLED_S, Summary, simulate
+from parking_sim.simulation import Summary, simulate
 from sumo_nets.read import read_net
 
 EVER = 1e9
 
+#: Runs are given up after this in these tests, instead of two hours.
+STALLED_S = 420.0
+
 
 def run(out: Path, script: list[dict[str, Any]], **keys: Any) -> Summary:
     """Every car in and out of map1 in ticks, with faults at fixed times."""
-    scenario = {"garage": "map1", "agvs": 4, "seed": 3, "plant": "discrete", "record": {"replay": False}}
+    scenario = {
+        "garage": "map1",
+        "agvs": 4,
+        "seed": 3,
+        "plant": "discrete",
+        "workload": {
+            "kind": "poisson",
+            "arrivals_per_h": 240,
+            "dwell_median_min": 3,
+            "duration_min": 6,
+            "initial_occupancy": 0.2,
+        },
+        "record": {"replay": False},
+    }
     return simulate(check_scenario({**scenario, "faults": {"script": script}, **keys}, "test", Path()), out)
+
+
+@pytest.fixture(autouse=True)
+def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulation, "STALLED_S", STALLED_S)
 
 
 def to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -36,39 +57,50 @@ SLOTS = [read_net("map1").graph.names[v] for v in read_net("map1").graph.slots]
 #: What stops map1 for ever -> the faults, and words that the reason must hold.
 STOPS: dict[str, tuple[list[dict[str, Any]], tuple[str, ...]]] = {
     "zone": ([{"kind": "zone_stop", "place": "c2_5"}], ("zone stop 0 round c2_5 closes c2_5, ", "no bay is free")),
-    "all": ([{"kind": "all_stop"}], ("AGV 0, 1, 2 and 3: cannot move", "all stop of AGV 0, 1, 2 and 3")),
+    "all": ([{"kind": "all_stop"}], ("cannot move", "all stop of AGV 0, 1, 2 and 3")),
     "bays": ([{"kind": "bay", "place": bay} for bay in BAYS], ("no bay is free", f"{BAYS[0]} (bay) is out of order")),
     "slots": ([{"kind": "blocked", "place": slot} for slot in SLOTS], ("no slot is free", f"{SLOTS[0]} is blocked")),
-    "fleet": ([{"kind": "breakdown", "agv": n} for n in range(4)], ("AGV 2: cannot move: breakdown of AGV 2",)),
+    "fleet": ([{"kind": "breakdown", "agv": n} for n in range(4)], ("no AGV is free", "breakdown of AGV 2")),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", STOPS)
+@pytest.mark.parametrize("name", [name for name in STOPS if name != "zone"])
 def test_a_run_that_nothing_can_help_ends_at_once_and_says_why(tmp_path, monkeypatch, name):
     """No request would have been served later: the same run, told to go on, serves none."""
     script, told = STOPS[name]
-    script = [{"at_s": 150.0, "for_s": EVER, **fault} for fault in script]
+    script = [{"at_s": 60.0, "for_s": EVER, **fault} for fault in script]
     early = run(tmp_path / "early", script)
     assert early.status == "stalled"
-    assert early.metrics["simulated_s"] < 1500.0
+    assert early.metrics["simulated_s"] < 360.0 + 300.0, "the last request comes at 360 s"
     held = " ".join(early.held)
     for words in told:
-        assert words.split(": breakdown")[0] in held
+        assert words in held
     assert "and has not ended" in held
     assert json.loads((tmp_path / "early" / "run.json").read_text())["held"] == [*early.held]
     assert f"held at the end: {early.held[0]}" in explain(tmp_path / "early", None, None)
     to_the_end(monkeypatch)
     late = run(tmp_path / "late", script)
     assert late.status == "stalled"
-    assert late.metrics["simulated_s"] >= STALLED_S
+    assert late.metrics["simulated_s"] > early.metrics["simulated_s"]
     assert late.metrics["tasks_done"] == early.metrics["tasks_done"]
     assert {line.partition(". ")[0] for line in late.held} == {line.partition(". ")[0] for line in early.held}
 
 
-@pytest.mark.parametrize("name", STOPS)
+def test_a_zone_stop_without_end_is_named_in_sumo(tmp_path):
+    """In ticks an AGV that can't get home gets no task, and the proof does not know that rule."""
+    script, told = STOPS["zone"]
+    workload = {"kind": "park_exit"}
+    summary = run(tmp_path / "run", [{"at_s": 100.0, "for_s": EVER, **script[0]}], plant="sumo", workload=workload)
+    assert summary.status == "stalled"
+    assert summary.metrics["simulated_s"] < 400.0
+    for words in told:
+        assert words in " ".join(summary.held)
+
+
+@pytest.mark.parametrize("name", ["zone", "bays", "fleet"])
 def test_a_stop_that_ends_stops_no_run(tmp_path, monkeypatch, name):
     """However long it lasts: the run is the one that it would be if nobody asked whether it can go on."""
-    script = [{"at_s": 150.0, "for_s": 1.25 * STALLED_S, **fault} for fault in STOPS[name][0]]
+    script = [{"at_s": 60.0, "for_s": 1.25 * STALLED_S, **fault} for fault in STOPS[name][0]]
     digests = []
     for out in (tmp_path / "asked", tmp_path / "not_asked"):
         summary = run(out, script)
@@ -81,13 +113,13 @@ def test_a_stop_that_ends_stops_no_run(tmp_path, monkeypatch, name):
 
 def test_a_run_with_a_duration_is_simulated_whole(tmp_path):
     """Its rates and waits count to the end that was asked for."""
-    script = [{"at_s": 150.0, "for_s": EVER, "kind": "all_stop"}]
-    summary = run(tmp_path / "run", script, duration_s=1800.0)
-    assert (summary.status, summary.metrics["simulated_s"]) == ("time_limit", 1800.0)
+    script = [{"at_s": 60.0, "for_s": EVER, "kind": "all_stop"}]
+    summary = run(tmp_path / "run", script, duration_s=400.0)
+    assert (summary.status, summary.metrics["simulated_s"]) == ("time_limit", 400.0)
     assert "all stop" in summary.held[0]
     waits = long_waits(load_run(tmp_path / "run"))
     assert {wait.agv for wait in waits if wait.reasons[-1].startswith("cannot move: all stop")} == {0, 1, 2, 3}
-    assert all(wait.start_s >= 100.0 for wait in waits)
+    assert all(wait.start_s >= 30.0 for wait in waits)
 
 
 def test_a_wait_is_told_with_its_chain_and_its_fault():
