@@ -117,10 +117,11 @@ def headlines(run: Run, metrics: Metrics) -> list[str]:
     wanted = m["tasks_wanted"] if _known(m["tasks_wanted"]) else m["requests"]
     lines = [f"{m['tasks_done']:,} of {wanted:,} tasks were done in {_span(m['simulated_s'])} of simulated time."]
     if m["retrievals_done"]:
+        missed = ", customers turned away counted as missed" if m["customers_turned_away"] else ""
         lines.append(
             f"A customer who asked for a car had it at the bay after {_span(m['retrieval_wait_p50_s'])} (median); "
             f"19 of 20 within {_span(m['retrieval_wait_p95_s'])}. "
-            f"{_percent(m['retrieval_within_300_s_share'])} waited at most 5 minutes."
+            f"{_percent(m['retrieval_within_300_s_share'])} waited at most 5 minutes{missed}."
         )
     away = turned_away_words(turned_away(run.tasks))
     lines.append(f"{away[0].upper()}{away[1:]}.")
