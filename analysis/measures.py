@@ -60,7 +60,7 @@ MEASURES: Mapping[str, Measure] = {
         for wait, (_, _, words) in _WAITS.items()
         for statistic in _STATISTICS
     },
-    "turned_away_share": Measure("customers turned away, share of those who came", ""),
+    "turned_away_share": Measure("customers turned away, of those who came", "share"),
     "tasks_per_hour": Measure("tasks served an hour", "tasks/h", False),
     "queue_mean": Measure("cars that wait for a bay, mean over time", "cars"),
     "deadlocks_per_hour": Measure("deadlocks found an hour", "1/h"),
