@@ -60,7 +60,7 @@ def least_way_m(size_m: tuple[float, float]) -> float:
 
 def chord_m(shape: FloatArray, length_m: float) -> float:
     """Straight distance in metres from the front to the rear of a body that stands at the end of a lane."""
-    return float(np.hypot(*(shape[-1] - _interpolate(shape, np.array([_length(shape) - length_m]))[0])))
+    return float(np.hypot(*_rear_from_origin(_seen_from(shape[-1], shape), length_m)))
 
 
 def standing_bodies(shapes: Collection[FloatArray], length_m: float = AGV_LENGTH_M) -> FloatArray:
@@ -73,8 +73,9 @@ def standing_bodies(shapes: Collection[FloatArray], length_m: float = AGV_LENGTH
     Returns:
         Centre x, y and heading unit vector x, y of each body, shape (m, 4).
     """
-    rears = np.array([_interpolate(shape, np.array([_length(shape) - length_m]))[0] for shape in shapes])
-    return _bodies(rears, np.array([shape[-1] for shape in shapes]), length_m)
+    fronts = np.array([shape[-1] for shape in shapes])
+    rears = [_rear_from_origin(_seen_from(front, shape), length_m) for front, shape in zip(fronts, shapes, strict=True)]
+    return _bodies(fronts + np.array(rears), fronts, length_m)
 
 
 def closest_standing(
@@ -214,14 +215,25 @@ def _folds_back(before: FloatArray, onto: FloatArray) -> bool:
 def _drive(before: FloatArray, onto: FloatArray, length_m: float) -> FloatArray:
     """Bodies between standing at the end of one lane and at the end of the next; none where the way folds back."""
     here = before[-1]
-    bodies = _drive_from_origin(*(np.round(line - here, 6).tobytes() for line in (before, onto)), length_m)
+    bodies = _drive_from_origin(_seen_from(here, before), _seen_from(here, onto), length_m)
     driven: FloatArray = bodies + np.array([*here, 0.0, 0.0])
     return driven
 
 
+def _seen_from(here: FloatArray, line: FloatArray) -> bytes:
+    """A line as a key: garages repeat a few ways, which are the same seen from where a body stands."""
+    return np.round(line - here, 6).tobytes()
+
+
+@lru_cache(maxsize=1 << 10)
+def _rear_from_origin(line: bytes, length_m: float) -> FloatArray:
+    shape = np.frombuffer(line).reshape(-1, 2)
+    rear: FloatArray = _interpolate(shape, np.array([_length(shape) - length_m]))[0]
+    return rear
+
+
 @lru_cache(maxsize=1 << 10)
 def _drive_from_origin(before: bytes, onto: bytes, length_m: float) -> FloatArray:
-    """Garages repeat a few ways; seen from where the body stands they are the same."""
     line_in, line_on = (np.frombuffer(line).reshape(-1, 2) for line in (before, onto))
     if _folds_back(line_in, line_on):
         return np.empty((0, 4))

@@ -67,7 +67,7 @@ def check_net(garage: GarageNet, size_m: tuple[float, float] = AGV_SIZE_M, loads
         *_check_vertices(driven),
         *lanes,
         *_check_chargers(driven),
-        *(() if lanes else _check_room(driven, size_m)),
+        *(_check_room(driven, size_m) if driven.shapes and not lanes else ()),
         *(_check_loads(garage) if loads else ()),
     )
 
