@@ -277,8 +277,8 @@ def draw_floor(run: Run) -> Figure | None:
 FIGURES: Mapping[str, tuple[str, str, Callable[[Run], Any]]] = {
     "waits": (
         "How long customers waited",
-        "Share of customers who waited at most so long. A wait that had not ended counts with its length so far; customers "
-        "turned away are not among them. Dotted: the service levels of 180 and 300 s.",
+        "Share of customers who waited at most so long. A wait that had not ended counts with its length so far;"
+        " customers turned away are not among them. Dotted: the service levels of 180 and 300 s.",
         draw_waits,
     ),
     "waits_over_time": (

@@ -11,6 +11,7 @@ from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from analysis.checks import RULES
+from analysis.clock import Clock
 from analysis.figures import Drawing, style, svg
 from analysis.measures import MEASURES, Interval, interval, measure_runs
 from analysis.report import environment, number, write_page
@@ -71,7 +72,7 @@ def write_sweep_report(folder: Path, answers: Sequence[str] = (), answer_drawing
     plan = folder / "sweep.json"
     page = environment().get_template("sweep.html").render(
         title=f"Sweep {folder.resolve().name}",
-        asked=_asked(runs, frame),
+        asked=[*_asked(runs, frame), *_starts(runs)],
         headlines=[*answers, *_headlines(runs, variants, frame)],
         heads=[*runs.varied, "runs", *(f"{MEASURES[key].words} ({MEASURES[key].unit})" for key in SHOWN)],
         rows=[_row(measured, runs.varied) for measured in variants],
@@ -133,6 +134,13 @@ def _asked(runs: Runs, frame: pd.DataFrame) -> list[tuple[str, str]]:
         meant = {variant.name: scenarios[run].shown for run, variant in runs.variants.items()}
         rows += [(name, label({k: v for k, v in shown.items() if v is not None})) for name, shown in meant.items()]
     return rows
+
+
+def _starts(runs: Runs) -> list[tuple[str, str]]:
+    """The times of day at which runs start, if their demand has any."""
+    metas = [load_run(folder).meta for folder in runs.folders.values()]
+    starts = dict.fromkeys(Clock.of(meta).at(0.0) for meta in metas if meta.get("day_start_h") is not None)
+    return [("time of day at the start", ", ".join(starts))] if starts else []
 
 
 def _cell_text(value: Any) -> str:
