@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from analysis.metrics import run_metrics
 from analysis.tables import recorded_run
 from controller.costs import Costs
+from controller.deadlock.cut_off import CutOff, find_cut_off
 from controller.deadlock.ladder import LadderLimits
 from controller.deadlock.waits import WaitGraph, rings, wait_graph
 from controller.executor import Executor
@@ -323,6 +324,31 @@ def documented(kind: str) -> set[str]:
     """Keys of an event's detail as the record explains them."""
     _, _, keys = KINDS[kind].partition(": ")
     return set(re.sub(r"\([^)]*\)", "", keys).replace(" ", "").split(",")) - {""}
+
+
+def test_what_a_fault_cuts_off_is_no_deadlock():
+    """AGV 1 is cut off by the broken AGV 0, AGV 2 barred by AGV 1, AGV 3 free; without the fault nobody is."""
+    yard = Yard(DEEP_SIDING, "DD BE AB TS")
+    assert find_cut_off(yard.executor, yard.agvs, yard.costs, yard.nobody) == CutOff()
+    yard.agvs[0].immobile = True
+    blocked = yard.nobody.copy()
+    blocked[yard.graph.index["D"]] = 1
+    found = find_cut_off(yard.executor, yard.agvs, yard.costs, blocked)
+    assert (found.by_fault, found.barred) == ({1}, {2})
+    assert yard.waits().edges == {2: 1}, "an AGV that cannot move waits for no AGV"
+
+
+def test_room_is_made_behind_a_broken_agv_and_no_deadlock_counted():
+    yard = Yard(DEEP_SIDING, "DD BE AS")
+    yard.agvs[0].immobile = True
+    yard.nobody = yard.nobody.copy()  # parked cars stay as they were
+    yard.nobody[yard.graph.index["D"]] = 1
+    yard.run(100)
+    kinds = [kind for _, kind, _, _ in yard.events]
+    assert "obstruction_found" in kinds
+    assert "obstruction_resolved" in kinds
+    assert not {"deadlock_found", "deadlock_resolved", "stage_failed"} & {*kinds}
+    assert yard.plant.at[2] == yard.graph.index["S"]
 
 
 def test_events_say_what_the_record_explains():
