@@ -56,6 +56,11 @@ def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str
     return [f"| {' | '.join(cells)} |" for cells in (headings, ["---"] * len(headings), *rows)] if rows else []
 
 
+def percent(share: float) -> str:
+    """A share in whole per cent."""
+    return f"{100 * share:.0f} %"
+
+
 def groups(rows: Rows, *keys: str) -> dict[tuple[Any, ...], list[Row]]:
     """Rows by the values of some columns, in the order in which these come."""
     found: dict[tuple[Any, ...], list[Row]] = {}
@@ -364,10 +369,18 @@ def show_soak(rows: Rows) -> list[str]:
                     f"{total(hard, 'deadlocks_found')}, {total(hard, 'deadlocks_unresolved')}",
                     f"{with_faults:.1f}",
                     f"{without:.1f}",
-                    f"{with_faults / without:.0%}",
+                    percent(with_faults / without),
                 ]
             )
-    headings = ["garage", "AGVs", "demand", "AGV-steps", "collisions, overlaps", "lost", "deadlocks found, left"]
+    headings = [
+        "garage",
+        "AGVs",
+        "demand",
+        "AGV-steps",
+        "collisions, overlaps",
+        "requests, cars lost",
+        "deadlocks found, left",
+    ]
     return markdown([*headings, "tasks an hour with faults", "without", "kept"], lines)
 
 
@@ -432,9 +445,9 @@ def show_sizing(rows: Rows) -> list[str]:
             f"{row['grid']}",
             f"{row['answer']}",
             f"{row['runs']}",
-            f"{row['runs'] / row['grid_runs']:.0%}",
+            percent(row["runs"] / row["grid_runs"]),
             f"{row['limits_agree']} of {row['limits']}",
-            f"{row['share_mean']:.0%}, {row['share_most']:.0%}",
+            f"{percent(row['share_mean'])}, {percent(row['share_most'])}",
         ]
         for row in rows
     ]
@@ -569,9 +582,7 @@ def show_stops(rows: Rows) -> list[str]:
             mean(own, "kept_at_80%"),
             mean(own, "kept_at_90%"),
         ]
-        lines.append(
-            [f"{agvs}", f"{stopped:.0%}", f"{calm:,.0f}", f"{hard:,.0f}", *(f"{share:.0%}" for share in shares)]
-        )
+        lines.append([f"{agvs}", percent(stopped), f"{calm:,.0f}", f"{hard:,.0f}", *map(percent, shares)])
     headings = ["AGVs", "stopped", "tasks without", "with stops", "kept", "ceiling", "kept, switched"]
     return markdown([*headings, "kept at 80 % of the load", "at 90 %"], lines)
 
