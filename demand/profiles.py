@@ -28,7 +28,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from parking_sim.errors import InputError
+from sumo_nets.fields import first_error
 from sumo_nets.wording import one_of
+from sumo_nets.yaml_file import YamlError, read_mapping
 
 Floats = NDArray[np.float64]
 Hour = Annotated[float, Field(ge=0, le=24)]
@@ -267,15 +269,11 @@ def find_profile(name: str, base_dir: Path = Path()) -> Profile:
     if path.suffix not in (".yaml", ".yml"):
         raise InputError(f"profile: {name!r}: {one_of(PROFILES)}, or a file (.yaml)")
     try:
-        return Profile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+        return Profile.model_validate(read_mapping(path, "words: offices of a city"))
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        field = ".".join(str(part) for part in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        raise InputError(f"{path}: {field + ': ' if field else ''}{message}") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = (error.strerror if isinstance(error, OSError) else None) or " ".join(str(error).split())
-        raise InputError(f"{path}: can't be read: {reason}") from None
+        raise InputError(f"{path}: {first_error(error, Profile)}") from None
+    except YamlError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def write_profile(profile: Profile, path: Path) -> None:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, field_validator, model_validator
-from pydantic_core import ErrorDetails
 
 from demand.park_exit import ParkExit
-from demand.workloads import WORKLOADS, WorkloadConfig
+from demand.workloads import WorkloadConfig
 from parking_sim.errors import InputError
 from parking_sim.fault_config import FaultConfig
-from sumo_nets.fields import locate
+from sumo_nets.fields import first_error
 from sumo_nets.read import shipped_nets
 from sumo_nets.wording import one_of
+from sumo_nets.yaml_file import YamlError, read_mapping
 
 #: AGVs of the shipped garages when nothing else is said.
 DEFAULT_AGVS = {"map1": 4, "map2": 4, "map3": 8, "map1_thesis": 4, "map2_thesis": 4, "map3_thesis": 8}
@@ -33,19 +31,6 @@ PlantKind = Literal["sumo", "discrete"]
 DAY_S = 86_400.0
 
 NET_SUFFIXES = (".net.xml", ".net.xml.gz")
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML that refuses a key given twice, of which the standard keeps the last without a word."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """Build a mapping whose keys differ."""
-        seen = set()
-        for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                raise yaml.MarkedYAMLError(problem=f"key {key.value!r} is given twice", problem_mark=key.start_mark)
-            seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
-        return super().construct_mapping(node, deep)
 
 
 class _Options(BaseModel):
@@ -316,31 +301,22 @@ def read_yaml(path: Path) -> dict[str, object]:
         InputError: it can't be read, or is something else.
     """
     try:
-        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        line = f"line {mark.line + 1}: " if mark else ""
-        raise InputError(f"{path}: {line}not YAML: {error.problem or error.context}") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = (error.strerror if isinstance(error, OSError) else None) or " ".join(str(error).split())
-        raise InputError(f"{path}: can't be read: {reason}") from None
-    if not isinstance(data, dict):
-        raise InputError(f"{path}: {_shown(data)}: give a mapping of keys to values, such as garage: map1")
-    return data
+        return read_mapping(path, "garage: map1")
+    except YamlError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def _validate(data: dict[str, object], overrides: Mapping[str, object], source: str, base_dir: Path) -> Scenario:
     try:
         scenario = Scenario.model_validate({**data, **overrides})
     except ValidationError as error:
-        errors = error.errors(include_url=False)
-        first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
-        if first["loc"] and first["loc"][0] in overrides:
+        wrong = first_error(error, Scenario)
+        if wrong.partition(":")[0] in overrides:
             source = "command line"
-        raise InputError(f"{source}: {_one_line(first)}") from None
+        raise InputError(f"{source}: {wrong}") from None
     scenario._base_dir = base_dir
-    for key, wrong in unknown_names(scenario):
-        raise InputError(f"{'command line' if key in overrides else source}: {key}: {wrong}")
+    for key, unknown in unknown_names(scenario):
+        raise InputError(f"{'command line' if key in overrides else source}: {key}: {unknown}")
     return scenario
 
 
@@ -374,36 +350,3 @@ def unknown_names(scenario: Scenario) -> Iterator[tuple[str, str]]:
             yield "garage", f"{scenario.garage!r}: {one_of(shipped_nets())}, or a file (.net.xml.gz)"
     elif not Path(scenario.garage_source).is_file():
         yield "garage", f"{scenario.garage!r}: no such file"
-
-
-def _one_line(error: ErrorDetails) -> str:
-    """Field, value, and what would be valid."""
-    field, model = locate(Scenario, error["loc"])
-    kind, context = error["type"], error.get("ctx", {})
-    if kind == "extra_forbidden":
-        known = sorted(model.model_fields) if model else []
-        close = difflib.get_close_matches(str(error["loc"][-1]), known, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"valid keys are {', '.join(known)}"
-        return f"{field}: unknown key; {hint}"
-    if kind == "missing":
-        wanted = model.model_fields[str(error["loc"][-1])].description if model else ""
-        return f"{field}: missing ({wanted})"
-    if kind == "union_tag_not_found":
-        return f"{field}.kind: missing; {one_of(WORKLOADS)}"
-    if kind in ("model_type", "model_attributes_type", "dict_type"):
-        return f"{field}: {_shown(error['input'])}: give a mapping of keys to values"
-    if kind == "too_short":
-        return f"{field}: {_shown(error['input'])}: give at least {context['min_length']}"
-    if kind == "union_tag_invalid":
-        return f"{field}.kind: {_shown(context.get('tag'))}: {one_of(WORKLOADS)}"
-    if kind == "literal_error":
-        return f"{field}: {_shown(error['input'])}: give {context['expected']}"
-    message = error["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    if kind == "value_error":
-        return f"{field}: {message}"
-    return f"{field}: {_shown(error['input'])}: must be {message}"
-
-
-def _shown(value: object) -> str:
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -42,12 +42,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, field_validator, model_validator
 
-from sumo_nets.fields import fields_of, locate
+from sumo_nets.fields import first_error
 from sumo_nets.graph import Role
-from sumo_nets.wording import one_of
+from sumo_nets.yaml_file import YamlError, parse_mapping, read_mapping
 
 Side = Literal["north", "east", "south", "west", "here"]
 
@@ -68,6 +67,10 @@ FIELD_OF_ROLE: dict[Role, str] = {
     "refuge": "refuges",
 }
 _PICTURE_CHARACTERS = "#.S"
+
+
+#: What a layout begins with.
+_SUCH_AS = "name: my_garage"
 
 
 class LayoutError(ValueError):
@@ -224,23 +227,6 @@ def _check_run(start: tuple[int, int], to: tuple[int, int]) -> None:
         raise ValueError(f"from {list(start)} to {list(to)} is slanted; a run stays in one row or one column")
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML that refuses a key given twice, where the standard silently keeps the last."""
-
-
-def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
-    keys = [loader.construct_object(key) for key, _ in node.value]
-    for key in keys:
-        if keys.count(key) > 1:
-            raise yaml.MarkedYAMLError(
-                problem=f"key {key!r} is given twice; give it once", problem_mark=node.start_mark
-            )
-    return loader.construct_mapping(node, deep=True)
-
-
-_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
-
-
 def parse_layout(text: str, source: str = "layout") -> Layout:
     """Read a layout from YAML text.
 
@@ -254,11 +240,10 @@ def parse_layout(text: str, source: str = "layout") -> Layout:
     Raises:
         LayoutError: bad YAML, an unknown or missing key, a value out of range; one line.
     """
-    data = _mapping_of(text, source, "layout")
     try:
-        return Layout.model_validate(data)
-    except ValidationError as err:
-        raise LayoutError(f"{source}: {first_error(err, Layout)}") from None
+        return _checked(parse_mapping(text, _SUCH_AS), source)
+    except YamlError as err:
+        raise LayoutError(f"{source}: {err}") from None
 
 
 def load_layout(path: str | Path) -> Layout:
@@ -273,56 +258,14 @@ def load_layout(path: str | Path) -> Layout:
     Raises:
         LayoutError: the file can't be read or is not a valid layout; one line.
     """
-    return parse_layout(_read(path, "layout"), str(path))
-
-
-def load_mapping(path: str | Path, what: str) -> dict[str, Any]:
-    """Read a YAML file that is a mapping of keys.
-
-    Args:
-        path: the file.
-        what: what it should be, for errors.
-
-    Returns:
-        Its keys and values, not checked further.
-
-    Raises:
-        LayoutError: it can't be read, is not YAML, gives a key twice, or is no mapping; one line.
-    """
-    return _mapping_of(_read(path, what), str(path), what)
-
-
-def _read(path: str | Path, what: str) -> str:
     try:
-        return Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as err:
-        reason = err.strerror if isinstance(err, OSError) else "not UTF-8 text"
-        raise LayoutError(f"{path}: can't read the {what}: {reason}") from None
+        return _checked(read_mapping(Path(path), _SUCH_AS), str(path))
+    except YamlError as err:
+        raise LayoutError(f"{path}: {err}") from None
 
 
-def _mapping_of(text: str, source: str, what: str) -> dict[str, Any]:
+def _checked(data: dict[str, Any], source: str) -> Layout:
     try:
-        data = yaml.load(text, Loader=_Loader)
-    except yaml.MarkedYAMLError as err:
-        line = f"line {err.problem_mark.line + 1}" if err.problem_mark else "unreadable"
-        raise LayoutError(f"{source}: {line}: {err.problem}") from None
-    except yaml.YAMLError as err:
-        raise LayoutError(f"{source}: not YAML: {' '.join(str(err).split())}") from None
-    if not isinstance(data, dict):
-        raise LayoutError(f"{source}: a {what} is a mapping of keys, beginning with name:, not {type(data).__name__}")
-    return data
-
-
-def first_error(err: ValidationError, model: type[BaseModel]) -> str:
-    """One line for the first thing that is wrong with a model: field, value, what would be valid."""
-    # a misspelt key is also a missing one: the misspelling says more
-    first = min(err.errors(include_url=False), key=lambda error: error["type"] != "extra_forbidden")
-    field, owner = locate(model, first["loc"])
-    if first["type"] == "extra_forbidden":
-        return f"{field}: unknown key" + (f"; {one_of(fields_of(owner), first['loc'][-1])}" if owner else "")
-    if first["type"] == "missing":
-        return f"{field}: missing; give a value"
-    message = first["msg"].removeprefix("Value error, ")
-    if first["type"] == "value_error":
-        return f"{field}: {message}" if field else message
-    return f"{field}: {first['input']!r} is not valid: {message[0].lower()}{message[1:]}"
+        return Layout.model_validate(data)
+    except ValidationError as err:
+        raise LayoutError(f"{source}: {first_error(err, Layout)}") from None

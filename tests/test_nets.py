@@ -287,10 +287,10 @@ def test_the_small_layout_is_good() -> None:
         ("{at: [2, 3], side: west}", "{from: [2, 3], to: [2, 2], side: west}", "street places overlap"),
         ("homes:\n  - {at: [9, 2], side: east, per_cell: 2}\n", "homes: []\n", "homes"),
         ("aisles:", "picture: |\n  .?\naisles:", "picture"),
-        (GOOD, "[1, 2]", "a layout is a mapping"),
+        (GOOD, "[1, 2]", "give a mapping of keys to values, such as name"),
         (GOOD, "name: [", "line"),
         (GOOD, "? [a, b]\n: 1", "small.yaml"),
-        (GOOD, "", "a layout is a mapping"),
+        (GOOD, "", "give a mapping of keys to values, such as name"),
     ],
 )
 def test_a_bad_layout_is_one_line(old: str, new: str, said: str) -> None:
@@ -304,7 +304,7 @@ def test_a_bad_layout_is_one_line(old: str, new: str, said: str) -> None:
 
 
 def test_a_missing_layout_file_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(LayoutError, match=r"can't read the layout: No such file"):
+    with pytest.raises(LayoutError, match=r"can't be read: No such file"):
         load_layout(tmp_path / "none.yaml")
 
 

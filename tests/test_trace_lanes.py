@@ -23,8 +23,9 @@ from sumo_nets.freespace.drawing import tracing_yaml
 from sumo_nets.freespace.floor import Floor
 from sumo_nets.freespace.floorplan import FloorPlan, cover, load_plan
 from sumo_nets.freespace.trace import LANE_CLEARANCE_M, Tracing, trace_lanes
-from sumo_nets.layout import LayoutError, load_mapping, parse_layout
+from sumo_nets.layout import LayoutError, parse_layout
 from sumo_nets.plan import plan_garage
+from sumo_nets.yaml_file import read_mapping
 
 CORNER = Path(sumo_nets.__file__).parent / "plans" / "corner_garage.yaml"
 PAGE = Path(__file__).parent.parent / "docs" / "trace-lanes.md"
@@ -76,7 +77,7 @@ def test_the_page_leads_from_a_floor_plan_to_a_report(tmp_path: Path, monkeypatc
     page = PAGE.read_text(encoding="utf-8")
     for name, text in re.findall(r"```yaml\n# (\S+\.yaml)\n(.*?)```", page, re.DOTALL):
         Path(name).write_text(text, encoding="utf-8")
-    assert FloorPlan.model_validate(load_mapping("corner_garage.yaml", "plan")) == load_plan(CORNER)[0]
+    assert FloorPlan.model_validate(read_mapping(Path("corner_garage.yaml"), "name: x")) == load_plan(CORNER)[0]
     blocks = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
     commands = [shlex.split(line, comments=True) for block in blocks for line in block.splitlines()]
     assert {words[1] for words in commands} == {"trace-lanes", "build-net", "check-net", "run"}
@@ -182,10 +183,10 @@ def test_rectangles_cover_a_picture_exactly(dark: NDArray[np.bool_]) -> None:
 # --- mistakes --------------------------------------------------------------------------------------------------------
 
 MISTAKES: list[tuple[dict[str, str], str]] = [
-    ({"name": "nam: room"}, "room.yaml: nam: unknown key; give one of name, pitch_m"),
+    ({"name": "nam: room"}, "room.yaml: nam: unknown key; did you mean name?"),
     ({"slots": ""}, "slots: missing"),
     ({"bays": "bays: []"}, "bays"),
-    ({"pitch_m": "pitch_m: 3"}, "pitch_m: 3 is not valid"),
+    ({"pitch_m": "pitch_m: 3"}, "pitch_m: 3: must be greater than"),
     ({"outline": ""}, "give outline: [[x, y], ...], or picture: {file, metres_per_pixel}"),
     ({"outline": "outline: [[0, 0], [42, 0]]"}, "outline"),
     ({"outline": "outline: [[-5, 0], [42, 0], [42, 35]]"}, "outline: corners between 0 and 2000 m are valid"),
@@ -193,7 +194,7 @@ MISTAKES: list[tuple[dict[str, str], str]] = [
     ({"outline": "picture: {file: room.yaml, metres_per_pixel: 0.1}"}, "room.yaml: can't be read: not a picture"),
     ({"homes": "homes:\n  - {box: [7, 14, 0, 21], opens: east}"}, "homes[0]: box [7.0, 14.0, 0.0, 21.0] is empty"),
     ({"homes": "homes:\n  - {box: [0, 7, 3, 9], opens: east}"}, "homes[0]: no place fits between walls and pillars"),
-    ({"homes": "homes:\n  - {box: [0, 7, 7, 14], opens: up}"}, "homes[0].opens: 'up' is not valid"),
+    ({"homes": "homes:\n  - {box: [0, 7, 7, 14], opens: up}"}, "homes[0].opens: 'up': give 'north'"),
     ({"street": "street: {from: [-4, 38], to: [-40, -10]}"}, "street: from [-4.0, 38.0] to [-40.0, -10.0] is slanted"),
     ({"street": "street: {from: [-4, 38], to: [-4, 30]}"}, "street: from [-4.0, 38.0] to [-4.0, 30.0] is short"),
     ({"street": "street: {from: [-60, 38], to: [-60, -10]}"}, "to the right of the street; 5.5 to 30 m is valid"),
@@ -216,7 +217,7 @@ def test_a_mistake_is_one_line_and_writes_nothing(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("nowhere.yaml", "nowhere.yaml: can't read the floor plan: No such file"),
+        ("nowhere.yaml", "nowhere.yaml: can't be read: No such file"),
         ("plan.png", "a picture shows no bays and slots: write a .yaml"),
         ("room.yaml --draw a.doc", "--draw: a.doc: give a file name that ends with .svg or .png"),
         ("room.yaml --out none/x.yaml --method visibility", "none/x.yaml: can't be written"),

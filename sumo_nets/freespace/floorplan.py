@@ -36,9 +36,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from sumo_nets.fields import first_error
 from sumo_nets.freespace.floor import Floor, rectangle
 from sumo_nets.graph import FloatArray, Role
-from sumo_nets.layout import FIELD_OF_ROLE, LayoutError, first_error, load_mapping
+from sumo_nets.layout import FIELD_OF_ROLE, LayoutError
+from sumo_nets.yaml_file import YamlError, read_mapping
 
 Metre = Annotated[float, Field(ge=-1000, le=5000, allow_inf_nan=False)]
 Spot = tuple[Metre, Metre]
@@ -172,7 +174,9 @@ def load_plan(path: str | Path) -> tuple[FloorPlan, Floor]:
             f" picture: {{file: {source.name}, metres_per_pixel: 0.1}}, slots, bays, homes and street"
         )
     try:
-        plan = FloorPlan.model_validate(load_mapping(source, "floor plan"))
+        plan = FloorPlan.model_validate(read_mapping(source, "name: my_garage"))
+    except YamlError as err:
+        raise LayoutError(f"{source}: {err}") from None
     except ValidationError as err:
         raise LayoutError(f"{source}: {first_error(err, FloorPlan)}") from None
     return plan, _walls(plan, source)
