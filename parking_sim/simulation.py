@@ -167,8 +167,7 @@ class _Run:
         self._plant_start_s = plant.time_s
         self.plant = self.world.with_faults(plant)
         self._faults = self.plant if isinstance(self.plant, FaultyPlant) else None
-        self._sumo: Any = plant if self.world.scenario.plant == "sumo" else None
-        if self._sumo is not None:
+        if plant.bodies() is not None:
             from parking_sim.footprint import FootprintCheck
 
             self._footprint = FootprintCheck()
@@ -330,10 +329,11 @@ class _Run:
     # --- watching -------------------------------------------------------------------------------------------------
 
     def _check(self) -> None:
-        if self._footprint is None:
+        bodies = self.plant.bodies()
+        if self._footprint is None or bodies is None:
             return
         t = perf_counter()
-        self._footprint.step(self.now_s, self._sumo.bodies())
+        self._footprint.step(self.now_s, bodies)
         for near in self._footprint.events[self._overlaps :]:
             self._log("overlap", near.agv, "", NO_VERTEX, {"others": [near.other], "clearance_m": near.clear_m})
         for near in self._footprint.turns[self._turns :]:
@@ -369,7 +369,7 @@ class _Run:
         for i, agv in numbered(agvs):
             self._drawn[i] += max(0.0, self._soc[i] - agv.soc)
             self._soc[i] = agv.soc
-        street = self._sumo.street() if self._sumo is not None else None
+        street = self.plant.street()
         queue, spilled = (street.queued, street.spilled) if street else (len(self.garage.queue), 0)
         active = sum(1 for a in agvs if a.job is not None)
         parked, waiting = len(self.garage.parked), len(self.garage.open)
@@ -457,7 +457,7 @@ class _Run:
     def _agv_row(self, i: AgvNumber, tasks: int) -> AgvRow:
         ex = self.acs.executor
         seconds = {f"{k}_s": self.world.motion.seconds(n) for k, n in self._activity[i].items()}
-        battery_wh = self.world.scenario.agv.battery_wh if self._sumo is not None else 0.0
+        battery_wh = self.plant.battery_wh
         return AgvRow(i, ex.moves[i], ex.distance_m[i], tasks, **seconds, energy_wh=self._drawn[i] * battery_wh)
 
     def _meta(self, status: str) -> dict[str, object]:
@@ -474,11 +474,11 @@ class _Run:
             "code": code_version(),
             "map": self.world.net.name,
             "step_s": self.step_s,
-            "sumo_start_s": self._plant_start_s if self._sumo is not None else None,
+            "sumo_start_s": self._plant_start_s if scenario.plant == "sumo" else None,
             "day_start_h": scenario.workload.day_start_h(scenario.base_dir),
             "simulated_s": self.now_s,
             "tasks_wanted": self.world.demand.total,
-            "sumo_collisions": self._sumo.collisions if self._sumo is not None else 0,
+            "sumo_collisions": self.plant.collisions,
             "footprint_overlaps": clearance.overlaps if clearance else 0,
             "turns_under_cars": clearance.turns_under_cars if clearance else 0,
             "least_clearance_m": clearance.least_m if clearance else None,
@@ -493,7 +493,7 @@ class _Run:
 
     def _wall_split(self) -> dict[str, float]:
         """Wall-clock seconds: SUMO's own steps, the rest of the plant, planning, the rest of the controller, ..."""
-        wall, sumo = self._wall, self._sumo.sumo_s if self._sumo is not None else 0.0
+        wall, sumo = self._wall, self.plant.sumo_s
         return {
             "total": perf_counter() - self._start,
             "sumo": sumo,

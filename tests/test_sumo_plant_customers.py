@@ -3,10 +3,10 @@
 import pytest
 
 from controller.types import Act, Action, Advance, CallForward, DriveOff, HandOver
-from parking_sim.plants import CarAtBay, CarLeft
+from parking_sim.plants import CarAtBay, CarLeft, StreetState
 from parking_sim.plants.sumo import PlantError, SumoPlant
 from parking_sim.plants.sumo_agv import AgvType
-from parking_sim.plants.sumo_customers import MAX_ON_ENTRY, StreetState
+from parking_sim.plants.sumo_customers import MAX_ON_ENTRY
 from sumo_nets.read import read_net
 
 #: Numbers of requests.

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from controller.faults import FaultReport
 from controller.types import AgvNumber, AgvState, Command, Motion, RequestNumber
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import Numbered, Vertex
+
+if TYPE_CHECKING:
+    from parking_sim.footprint import Bodies
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +45,19 @@ class AgvSample:
     speed_mps: float
 
 
+@dataclass(frozen=True, slots=True)
+class StreetState:
+    """Customers who wait.
+
+    Attributes:
+        queued: cars that stand on the queue edge.
+        spilled: cars that stand on the street before it, or have found no room there yet.
+    """
+
+    queued: int
+    spilled: int
+
+
 class Plant(Protocol):
     """The seam between the simulation loop and the world.
 
@@ -50,6 +66,18 @@ class Plant(Protocol):
 
     graph: Graph
     motion: Motion
+
+    @property
+    def battery_wh(self) -> float:
+        """Capacity of an AGV's battery; 0 in a plant that counts no energy."""
+
+    @property
+    def collisions(self) -> int:
+        """Collisions that SUMO has reported."""
+
+    @property
+    def sumo_s(self) -> float:
+        """Wall-clock seconds that SUMO has taken for its own steps."""
 
     @property
     def time_s(self) -> float:
@@ -72,6 +100,12 @@ class Plant(Protocol):
 
     def samples(self) -> Sequence[AgvSample]:
         """Where each AGV is now."""
+
+    def street(self) -> StreetState | None:
+        """Customers waiting in the street now; None in a plant that has no street."""
+
+    def bodies(self) -> Bodies | None:
+        """All AGVs as rectangles; None in a plant where they have no bodies."""
 
     def close(self) -> None:
         """Release what the plant holds; safe to call twice."""

@@ -48,6 +48,7 @@ class DiscretePlant:
         self._events: list[PlantEvent] = []
         self._next: list[PlantEvent] = []
         self.time_s = 0.0
+        self.battery_wh, self.collisions, self.sumo_s = 0.0, 0, 0.0  # nothing of what SUMO has
 
     def states(self) -> Numbered[AgvNumber, AgvState]:
         """One state for each AGV, in their order."""
@@ -117,6 +118,12 @@ class DiscretePlant:
     def set_soc(self, agv: AgvNumber, soc: float) -> None:
         """Set the state of charge of an AGV's battery, 0 to 1."""
         self._cells[agv] = (1.0 - soc) / (1.0 - CHARGE_BELOW) * self._charge_after
+
+    def street(self) -> None:
+        """None: nobody drives up."""
+
+    def bodies(self) -> None:
+        """None: an AGV is a cell."""
 
     def samples(self) -> Sequence[AgvSample]:
         """Where each AGV is now."""

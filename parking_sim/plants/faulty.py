@@ -13,7 +13,7 @@ import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.random import Generator
@@ -23,8 +23,11 @@ from controller.types import Act, Action, Advance, AgvNumber, AgvState, Command,
 from demand.types import stream
 from parking_sim.fault_config import Battery, Breakdown, FaultConfig, Slow, Stale, ZoneStop
 from parking_sim.faults import Fault, fault_stream
-from parking_sim.plants import AgvSample, Plant, PlantEvent
+from parking_sim.plants import AgvSample, Plant, PlantEvent, StreetState
 from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex, numbered, numbers
+
+if TYPE_CHECKING:
+    from parking_sim.footprint import Bodies
 
 
 class BreakablePlant(Plant, Protocol):
@@ -180,6 +183,29 @@ class FaultyPlant:
     def samples(self) -> Sequence[AgvSample]:
         """Where each AGV is now."""
         return self._plant.samples()
+
+    def street(self) -> StreetState | None:
+        """Customers waiting in the street now."""
+        return self._plant.street()
+
+    def bodies(self) -> Bodies | None:
+        """All AGVs as rectangles."""
+        return self._plant.bodies()
+
+    @property
+    def battery_wh(self) -> float:
+        """Capacity of an AGV's battery."""
+        return self._plant.battery_wh
+
+    @property
+    def collisions(self) -> int:
+        """Collisions that SUMO has reported."""
+        return self._plant.collisions
+
+    @property
+    def sumo_s(self) -> float:
+        """Wall-clock seconds that SUMO has taken."""
+        return self._plant.sumo_s
 
     # --- what is to come ------------------------------------------------------------------------------------------
 

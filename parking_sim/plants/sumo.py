@@ -38,10 +38,10 @@ from controller.types import (
     RequestNumber,
 )
 from parking_sim.footprint import Bodies
-from parking_sim.plants import AgvSample, PlantEvent
+from parking_sim.plants import AgvSample, PlantEvent, StreetState
 from parking_sim.plants.sumo_agv import AgvType, sumo_motion
 from parking_sim.plants.sumo_api import PlantError, load_api
-from parking_sim.plants.sumo_customers import Customers, StreetState
+from parking_sim.plants.sumo_customers import Customers
 from parking_sim.plants.sumo_files import EMPTY, LOADED, agv_name, output_options, write_run
 from parking_sim.plants.sumo_lanes import Lanes, Progress
 from sumo_nets.graph import Graph
@@ -107,7 +107,7 @@ class SumoPlant:
         fcd: bool = False,
     ) -> None:
         self.graph = garage.graph
-        self.agv_type = agv_type
+        self.agv_type, self.battery_wh = agv_type, agv_type.battery_wh
         self.motion = sumo_motion(garage.graph, agv_type, step_s)
         self.collisions = 0
         self.sumo_s = 0.0
@@ -229,6 +229,15 @@ class SumoPlant:
             for i, (x, y, angle) in zip(numbers(self._agvs), fronts, strict=True)
         ]  # fmt: skip
 
+    def street(self) -> StreetState:
+        """Customers waiting in the street now; zeros in a net without street."""
+        return self._customers.street()
+
+    def bodies(self) -> Bodies:
+        """All AGV bodies as rectangles, for the footprint check."""
+        x, y, angle = self._place.copy()
+        return Bodies(x, y, angle, self._length, self._width, self._loaded.copy())
+
     def close(self) -> None:
         """End SUMO and release its files; safe to call twice."""
         if self._open:
@@ -238,17 +247,6 @@ class SumoPlant:
         if self._temporary is not None:
             self._temporary.cleanup()
             self._temporary = None
-
-    # ------------------------------------------------------------------ beyond the protocol
-
-    def street(self) -> StreetState:
-        """Customers waiting in the street now; zeros in a net without street."""
-        return self._customers.street()
-
-    def bodies(self) -> Bodies:
-        """All AGV bodies as rectangles, for the footprint check."""
-        x, y, angle = self._place.copy()
-        return Bodies(x, y, angle, self._length, self._width, self._loaded.copy())
 
     # ------------------------------------------------------------------ faults
 

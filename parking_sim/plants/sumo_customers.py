@@ -12,10 +12,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from parking_sim.plants import CarAtBay, CarLeft, PlantEvent
+from parking_sim.plants import CarAtBay, CarLeft, PlantEvent, StreetState
 from parking_sim.plants.sumo_files import CUSTOMER_IN, CUSTOMER_OUT, customer_name, request_of
 
 if TYPE_CHECKING:
@@ -30,19 +29,6 @@ _FOREVER_S = 1e9
 MAX_ON_ENTRY = 8
 #: Steps between two looks whether there is room on the entry edge.
 ENTRY_STEPS = 4
-
-
-@dataclass(frozen=True, slots=True)
-class StreetState:
-    """Customers who wait.
-
-    Attributes:
-        queued: cars that stand on the queue edge.
-        spilled: cars that stand on the street before it, or have found no room there yet.
-    """
-
-    queued: int
-    spilled: int
 
 
 class Customers:
