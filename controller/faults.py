@@ -81,11 +81,11 @@ class Outages:
             _add(self._closed, fault.vertices, one)
             self.closed = frozenset(self._closed)
 
-    def holding(self, agv: int) -> tuple[int, ...]:
+    def holding(self, agv: AgvNumber) -> tuple[int, ...]:
         """Numbers of the faults because of which an AGV cannot move."""
         return tuple(n for n, fault in self.running.items() if fault.kind in IMMOBILE and agv in fault.agvs)
 
-    def closing(self, vertex: int) -> tuple[int, ...]:
+    def closing(self, vertex: Vertex) -> tuple[int, ...]:
         """Numbers of the faults that close a vertex."""
         return tuple(n for n, fault in self.running.items() if vertex in fault.vertices)
 
