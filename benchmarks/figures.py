@@ -756,7 +756,12 @@ SETS: Mapping[str, RunSet] = {
         "sizing against a grid of all fleets, in ticks",
         tuple(
             {"garage": "map1", "most": 8, "scale": 0.25, "plant": "discrete", "target": target}
-            for target in ("retrieval p95 < 8 min", "retrieval mean < 5 min", "retrieval p95 < 1 min")
+            for target in (
+                "retrieval p95 < 60 s",
+                "retrieval p95 < 52 s",
+                "retrieval mean < 50 s",
+                "retrieval p95 < 45 s",
+            )
         ),
         run_sizing,
     ),
