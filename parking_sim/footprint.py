@@ -21,17 +21,10 @@ from numpy.typing import NDArray
 
 from controller.types import AgvNumber
 from sumo_nets.graph import FloatArray
+from sumo_nets.under_cars import ALIGNED_ASIDE_M, ALIGNED_DEG
 
-#: An empty AGV is aligned with a parked car when their axes differ by this angle or less, and the AGV's end that is
-#: nearer to the middle of the car is this many metres or less from the car's axis. The angle is what the bend of the
-#: shipped garages' spurs needs: there the front swings out by 23 to 32 degrees, depending on the AGV's length, while
-#: the rear is still under the car.
-ALIGNED_DEG = 35.0
-ALIGNED_ASIDE_M = 0.3
 #: Bodies further apart than this are not measured.
 REACH_M = 10.0
-#: No parked car is larger than this.
-MAX_HALF_DIAGONAL_M = 5.0
 _MAX_PAIRS = 4096
 _MOST_SINE = math.sin(math.radians(ALIGNED_DEG))
 
@@ -103,6 +96,7 @@ class _Parked:
 
     names: list[str] = field(default_factory=list)
     rows: FloatArray = field(default_factory=lambda: np.zeros((0, 8)))
+    half_diagonal_m: float = 0.0  #: the greatest that any car had so far
 
 
 class FootprintCheck:
@@ -167,7 +161,7 @@ class FootprintCheck:
             self._rows = np.full((len(bodies.x), 7), np.inf)
         found, agv, other, near, near_car = _look(
             bodies.x, bodies.y, bodies.angle, bodies.length, bodies.width, bodies.loaded, bool(self._touching),
-            self._rows, self._parked.rows, self._least, self._pairs,
+            self._rows, self._parked.rows, self._parked.half_diagonal_m, self._least, self._pairs,
         )  # fmt: skip
         if agv >= 0:
             self._closest[0] = Nearness(time_s, AgvNumber(agv), AgvNumber(other), float(self._least[0]))
@@ -186,6 +180,7 @@ class FootprintCheck:
         at = int(np.searchsorted(self._parked.rows[:, 0], row[0]))
         self._parked.rows = np.insert(self._parked.rows, at, np.append(row, cramped), axis=0)
         self._parked.names.insert(at, car)
+        self._parked.half_diagonal_m = max(self._parked.half_diagonal_m, float(row[6]))
 
     def _note(self, time_s: float, pairs: Sequence[Sequence[int]]) -> None:
         names = self._parked.names
@@ -208,7 +203,9 @@ def rectangle_distance(a: FloatArray, b: FloatArray) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, least, pairs):  # type: ignore[no-untyped-def]
+def _look(  # type: ignore[no-untyped-def]
+    x, y, angle, length, width, loaded, look_at_all, rows, parked, half_diagonal_m, least, pairs
+):
     """Update the rows; list touching pairs and whether they are turns under cars; lower ``least`` for AGVs and cars.
 
     A parked car p is listed as -1 - p.
@@ -232,7 +229,7 @@ def _look(x, y, angle, length, width, loaded, look_at_all, rows, parked, least, 
             if d == 0.0 and found < len(pairs):
                 pairs[found, 0], pairs[found, 1], pairs[found, 2] = min(i, j), max(i, j), 0
                 found += 1
-        widest = size + MAX_HALF_DIAGONAL_M + min(least[1], REACH_M)
+        widest = size + half_diagonal_m + min(least[1], REACH_M)
         for p in range(np.searchsorted(parked[:, 0], x0 - widest), len(parked)):
             limit = size + parked[p, 6] + min(least[1], REACH_M)
             dx, dy = parked[p, 0] - x0, parked[p, 1] - y0

@@ -24,10 +24,10 @@ from parking_sim.plants.faulty import FaultyPlant
 from parking_sim.record import AgvRow, Recorder, TaskRow
 from parking_sim.versions import code_version, versions
 from sumo_nets.numbering import NO_VERTEX, Numbered, NumberedList, Vertex, numbered
+from sumo_nets.under_cars import cramped_slots
 
 if TYPE_CHECKING:
     from parking_sim.footprint import FootprintCheck
-    from sumo_nets.graph import Graph
 
 #: Simulated seconds without any task done or vertex granted, with work to do, after which a run is given up, unless a
 #: fault is the reason and will end.
@@ -150,7 +150,7 @@ class _Run:
         self._soc: NumberedList[AgvNumber, float] = [1.0] * len(self.acs.agvs)
         self._drawn: NumberedList[AgvNumber, float] = [0.0] * len(self.acs.agvs)
         self._footprint: FootprintCheck | None = None
-        self._cramped = _cramped_slots(world.net.graph, world.scenario.agv.length_m)
+        self._cramped = cramped_slots(world.net.graph, world.scenario.agv.length_m)
         for car, slot in self.garage.parked.items():
             self._log("car_initial", NO_AGV, car, slot, {})
 
@@ -506,9 +506,3 @@ class _Run:
 
 
 _ACTIVITIES = ("empty", "loaded", "turning", "lifting", "lowering", "waiting", "charging", "idle")
-
-
-def _cramped_slots(graph: Graph, agv_m: float) -> frozenset[Vertex]:
-    """Slots whose lane is too short for an AGV to drive straight out from under a car before it turns."""
-    short = set(graph.head[graph.length_m < 2 * agv_m].tolist())
-    return frozenset(slot for slot in graph.slots if slot in short)

@@ -217,6 +217,8 @@ def _simulate(scenario: Scenario, folder: Path, shared: Path) -> Exception | Non
         status = simulate(scenario, folder, shared=shared).status
     except (InputError, NetError) as error:
         return InputError(str(error))
+    except RunFailedError as error:
+        return RunFailedError(str(error))
     except Exception as error:
         return RunFailedError(f"{type(error).__name__}: {error} ({_place(error)})")
     return RunFailedError("interrupted") if status == "interrupted" else None

@@ -60,7 +60,7 @@ def least_way_m(size_m: tuple[float, float]) -> float:
 
 def chord_m(shape: FloatArray, length_m: float) -> float:
     """Straight distance in metres from the front to the rear of a body that stands at the end of a lane."""
-    return float(np.hypot(*_rear_from_origin(_seen_from(shape[-1], shape), length_m)))
+    return float(np.hypot(*_rear_from_origin(seen_from(shape[-1], shape), length_m)))
 
 
 def standing_bodies(shapes: Collection[FloatArray], length_m: float = AGV_LENGTH_M) -> FloatArray:
@@ -74,8 +74,22 @@ def standing_bodies(shapes: Collection[FloatArray], length_m: float = AGV_LENGTH
         Centre x, y and heading unit vector x, y of each body, shape (m, 4).
     """
     fronts = np.array([shape[-1] for shape in shapes])
-    rears = [_rear_from_origin(_seen_from(front, shape), length_m) for front, shape in zip(fronts, shapes, strict=True)]
+    rears = [_rear_from_origin(seen_from(front, shape), length_m) for front, shape in zip(fronts, shapes, strict=True)]
     return _bodies(fronts + np.array(rears), fronts, length_m)
+
+
+def bodies_along(way: FloatArray, fronts_m: FloatArray, length_m: float) -> FloatArray:
+    """Bodies of an AGV that drives along a line.
+
+    Args:
+        way: the line in metres, shape (k, 2), in driving direction.
+        fronts_m: where the front is, in metres from the line's beginning, shape (n,).
+        length_m: of the body.
+
+    Returns:
+        Bodies as in :func:`standing_bodies`, shape (n, 4).
+    """
+    return _bodies(_interpolate(way, fronts_m - length_m), _interpolate(way, fronts_m), length_m)
 
 
 def closest_standing(
@@ -148,17 +162,17 @@ def clear_of_ways(
         Metres from the vertex's centre; at most where the body ends with the lane.
     """
     length_m = size_m[0]
-    most_m = _length(leaving) - length_m
+    most_m = line_m(leaving) - length_m
     if most_m <= least_m or not ways:
         return least_m
     rears = np.append(np.arange(least_m, most_m, _CLEAR_STEP_M), most_m)
-    off = _bodies(_interpolate(leaving, rears), _interpolate(leaving, rears + length_m), length_m)
+    off = bodies_along(leaving, rears + length_m, length_m)
     driven = []
     for way in ways:
-        fronts = np.append(np.arange(length_m, _length(way), _CLEAR_STEP_M), _length(way))
-        driven.append(_bodies(_interpolate(way, fronts - length_m), _interpolate(way, fronts), length_m))
+        fronts = np.append(np.arange(length_m, line_m(way), _CLEAR_STEP_M), line_m(way))
+        driven.append(bodies_along(way, fronts, length_m))
     others = np.concatenate(driven)
-    gaps = _gaps(np.repeat(off, len(others), axis=0), np.tile(others, (len(off), 1)), size_m).reshape(len(off), -1)
+    gaps = gaps_m(np.repeat(off, len(others), axis=0), np.tile(others, (len(off), 1)), size_m).reshape(len(off), -1)
     touching = np.flatnonzero(gaps.min(axis=1) < CLEAR_M)
     return float(rears[min(touching[-1] + 1, len(rears) - 1)]) if len(touching) else least_m
 
@@ -181,6 +195,8 @@ def driving_bodies(
 ) -> Iterator[tuple[FloatArray, IntArray, IntArray]]:
     """Bodies of AGVs on their way from every lane to every next one, but for ways that fold back.
 
+    An AGV sets out from the end of the lane by which it came, or reversed, from a dead end.
+
     Args:
         tail, head: vertex indices of each lane's ends, shape (m,).
         shapes: each lane's centre line in metres.
@@ -190,14 +206,18 @@ def driving_bodies(
         In batches: bodies as in :func:`standing_bodies`, the lane each comes from and the lane it drives onto.
     """
     leaving: dict[int, list[EdgeIndex]] = {}
+    beside: dict[int, set[int]] = {}
     for lane in numbers(shapes):
         leaving.setdefault(int(tail[lane]), []).append(lane)
+        beside.setdefault(int(tail[lane]), set()).add(int(head[lane]))
+        beside.setdefault(int(head[lane]), set()).add(int(tail[lane]))
     bodies: list[FloatArray] = []
     lanes: list[tuple[int, int]] = []
     for before in numbers(shapes):
         for onto in leaving.get(int(head[before]), ()):
             if head[onto] != tail[before]:
-                driven = _drive(shapes[before], shapes[onto], length_m)
+                reversed_ = len(beside[int(tail[before])]) == 1
+                driven = _drive(shapes[before], shapes[onto], length_m, reversed_)
                 bodies.append(driven)
                 lanes.extend([(before, onto)] * len(driven))
         if len(lanes) > _BATCH or (lanes and before == len(tail) - 1):
@@ -212,15 +232,15 @@ def _folds_back(before: FloatArray, onto: FloatArray) -> bool:
     return float(way_in @ way_on) < _FOLD_COSINE * float(np.hypot(*way_in) * np.hypot(*way_on))
 
 
-def _drive(before: FloatArray, onto: FloatArray, length_m: float) -> FloatArray:
-    """Bodies between standing at the end of one lane and at the end of the next; none where the way folds back."""
+def _drive(before: FloatArray, onto: FloatArray, length_m: float, reversed_: bool) -> FloatArray:
+    """Bodies between standing on one lane and at the end of the next; none where the way folds back."""
     here = before[-1]
-    bodies = _drive_from_origin(_seen_from(here, before), _seen_from(here, onto), length_m)
+    bodies = _drive_from_origin(seen_from(here, before), seen_from(here, onto), length_m, reversed_)
     driven: FloatArray = bodies + np.array([*here, 0.0, 0.0])
     return driven
 
 
-def _seen_from(here: FloatArray, line: FloatArray) -> bytes:
+def seen_from(here: FloatArray, line: FloatArray) -> bytes:
     """A line as a key: garages repeat a few ways, which are the same seen from where a body stands."""
     return np.round(line - here, 6).tobytes()
 
@@ -228,21 +248,22 @@ def _seen_from(here: FloatArray, line: FloatArray) -> bytes:
 @lru_cache(maxsize=1 << 10)
 def _rear_from_origin(line: bytes, length_m: float) -> FloatArray:
     shape = np.frombuffer(line).reshape(-1, 2)
-    rear: FloatArray = _interpolate(shape, np.array([_length(shape) - length_m]))[0]
+    rear: FloatArray = _interpolate(shape, np.array([line_m(shape) - length_m]))[0]
     return rear
 
 
 @lru_cache(maxsize=1 << 10)
-def _drive_from_origin(before: bytes, onto: bytes, length_m: float) -> FloatArray:
+def _drive_from_origin(before: bytes, onto: bytes, length_m: float, reversed_: bool) -> FloatArray:
     line_in, line_on = (np.frombuffer(line).reshape(-1, 2) for line in (before, onto))
     if _folds_back(line_in, line_on):
         return np.empty((0, 4))
     way = np.concatenate([line_in, line_on])
-    fronts = np.arange(_length(line_in), _length(way), _SAMPLE_M)
-    return _bodies(_interpolate(way, fronts - length_m), _interpolate(way, fronts), length_m)
+    fronts = np.arange(length_m if reversed_ else line_m(line_in), line_m(way), _SAMPLE_M)
+    return bodies_along(way, fronts, length_m)
 
 
-def _length(shape: FloatArray) -> float:
+def line_m(shape: FloatArray) -> float:
+    """Length of a line in metres."""
     return float(np.hypot(*np.diff(shape, axis=0).T).sum())
 
 
@@ -293,13 +314,18 @@ def _least(
     """The closest of pairs of bodies, whose lanes are given."""
     if not len(lanes[0]):
         return None
-    gaps = _gaps(*bodies, size_m)
+    gaps = gaps_m(*bodies, size_m)
     least = int(np.argmin(gaps))
     return ClosestBodies(float(gaps[least]), EdgeIndex(int(lanes[0][least])), EdgeIndex(int(lanes[1][least])))
 
 
-def _gaps(a: FloatArray, b: FloatArray, size_m: tuple[float, float]) -> FloatArray:
-    """Room between pairs of bodies, shape (n,): the widest gap along any of their four axes."""
+def gaps_m(a: FloatArray, b: FloatArray, size_m: tuple[float, float]) -> FloatArray:
+    """Room between pairs of bodies in metres, shape (n,): the widest gap along any of their four axes.
+
+    Args:
+        a, b: bodies as in :func:`standing_bodies`, shape (n, 4).
+        size_m: length and width of the bodies.
+    """
     between = b[:, :2] - a[:, :2]
     room = np.full(len(a), -np.inf)
     for axes in (a[:, 2:], b[:, 2:]):

@@ -11,6 +11,7 @@ import numpy as np
 
 from sumo_nets.bodies import (
     AGV_SIZE_M,
+    CLEAR_M,
     MIN_GAP_M,
     ClosestBodies,
     chord_m,
@@ -23,6 +24,7 @@ from sumo_nets.errors import NetError
 from sumo_nets.graph import FloatArray, Graph
 from sumo_nets.numbering import EdgeIndex, Vertex, numbered
 from sumo_nets.read import GarageNet, is_shipped
+from sumo_nets.under_cars import longest_with_room_m, tightest_turn
 from sumo_nets.ways import cut_off, shut_in, unconnected_turns
 from sumo_nets.well_formed import describe
 
@@ -67,7 +69,7 @@ def check_net(garage: GarageNet, size_m: tuple[float, float] = AGV_SIZE_M, loads
         *_check_vertices(driven),
         *lanes,
         *_check_chargers(driven),
-        *(_check_room(driven, size_m) if driven.shapes and not lanes else ()),
+        *((*_check_under_cars(driven, size_m), *_check_room(driven, size_m)) if driven.shapes and not lanes else ()),
         *(_check_loads(garage) if loads else ()),
     )
 
@@ -171,9 +173,22 @@ def _check_room(garage: GarageNet, size_m: tuple[float, float]) -> Iterator[str]
             yield _room(graph, closest, doing)
 
 
+def _check_under_cars(garage: GarageNet, size_m: tuple[float, float]) -> Iterator[str]:
+    """An empty AGV drives out from under the car that it has set down, and in under one that it comes for."""
+    graph, tightest = garage.graph, tightest_turn(garage, size_m)
+    if tightest is None or tightest.room_m >= CLEAR_M:
+        return
+    fitting_m = longest_with_room_m(garage, size_m, CLEAR_M)
+    yield (
+        f"{graph.names[tightest.slot]}: an empty AGV of {size_m[0]:g} x {size_m[1]:g} m that turns between the slot and"
+        f" {graph.edge_names[tightest.beyond]} has {tightest.room_m:z.2f} m to the car parked there;"
+        f" {CLEAR_M} m is needed{f', which AGVs of up to {fitting_m:g} m have' if fitting_m else ''}"
+    )
+
+
 def _room(graph: Graph, closest: ClosestBodies, doing: str) -> str:
     first, second = (graph.edge_names[e] for e in (closest.first, closest.second))
-    return f"an AGV {doing} {first} has {closest.gap_m:.2f} m to one at the end of {second}; {MIN_GAP_M} m is needed"
+    return f"an AGV {doing} {first} has {closest.gap_m:z.2f} m to one at the end of {second}; {MIN_GAP_M} m is needed"
 
 
 def _check_loads(garage: GarageNet) -> Iterator[str]:

@@ -11,11 +11,14 @@ from pathlib import Path
 
 import pytest
 
+from analysis.runs import load_run
 from parking_sim import cli
 from parking_sim.demo import RUNS, comparison, complaints_of, results_table
 from parking_sim.errors import InputError
 from parking_sim.folders import RUN_FILE, check_folder, clear_run
 from parking_sim.plants.discrete import DiscretePlant
+from parking_sim.plants.sumo import SumoPlant
+from parking_sim.plants.sumo_api import PlantError
 from parking_sim.simulation import Summary
 
 SMALL = "garage: map1\nagvs: 2\nplant: discrete\nworkload: {kind: park_exit, cars: 3}\n"
@@ -323,6 +326,33 @@ def test_ctrl_c_leaves_a_readable_record(workplace: Path, monkeypatch: pytest.Mo
     assert call(words("run small.yaml --out run -q")) == 130
     assert json.loads((workplace / "run" / RUN_FILE).read_text())["status"] == "interrupted"
     assert (workplace / "run" / "report.html").is_file()
+
+
+def test_a_run_without_sumo_gui_is_one_line(
+    workplace: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("parking_sim.plants.sumo_api.shutil.which", lambda name, path=None: None)
+    assert call(words("run map1 --agvs 1 --gui --out run -q")) == 1
+    assert capfd.readouterr().err == "error: sumo-gui is not installed: install parking-sim with the extra 'nets'\n"
+
+
+def test_a_run_that_sumo_fails_is_one_line_and_leaves_its_record_so_far(
+    workplace: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    step = SumoPlant.step
+
+    def failing(plant: SumoPlant) -> None:
+        if plant.time_s > 150:
+            raise PlantError("SUMO at 150.5 s: no more")
+        step(plant)
+
+    monkeypatch.setattr(SumoPlant, "step", failing)
+    assert call(words("run map1 --agvs 1 --out run -q")) == 1
+    assert capfd.readouterr().err == "error: SUMO at 150.5 s: no more\n"
+    left = load_run(workplace / "run")
+    assert left.meta["status"] == "killed"
+    assert 100 < left.meta["simulated_s"] <= 150
+    assert len(left.trajectory)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Rectangles: distances against an independent formula, and what counts as an overlap."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -111,6 +112,23 @@ def test_far_bodies_are_not_measured():
     check.step(0.5, bodies((0, 0, 0), (5 + REACH_M + 1, 20, 0)))
     assert check.result().agvs is None
     assert check.result().least_m == math.inf
+
+
+@pytest.mark.parametrize("front", [-11.9, 11.9])
+def test_parked_cars_of_any_length_are_looked_at(front):
+    """Once another AGV has passed close by, only what is nearer still is measured."""
+
+    def long(*fronts, loaded=()):
+        given = bodies(*fronts, loaded=loaded)
+        return replace(given, length=np.full(len(fronts), 12.0))
+
+    check = FootprintCheck()
+    check.step(0.5, long((0, 0, 0), (0, 100, 0), loaded=(0,)))
+    check.lowered("bus", 0)
+    check.step(1.0, long((0, 50, 0), (0, 2.1, 0), loaded=(1,)))
+    assert check.result().parked.clear_m == pytest.approx(0.1)
+    check.step(1.5, long((0, 50, 0), (front, 0, 0), loaded=(1,)))
+    assert [(e.agv, e.other) for e in check.events] == [(1, "bus")]
 
 
 def park_at_origin(angle=0.0):

@@ -21,6 +21,7 @@ from analysis.sweep_report import write_sweep_report
 from parking_sim.cli import main
 from parking_sim.errors import InputError, RunFailedError
 from parking_sim.executors import SpawnedWorkers, open_executor
+from parking_sim.plants.sumo_api import PlantError
 from parking_sim.progress import progress_words
 from parking_sim.sweep import SweepProgress, do_run, open_folder, run_missing, sweep
 from parking_sim.sweep_plan import RunSpec, load_sweep
@@ -136,6 +137,17 @@ def test_an_error_travels_without_what_caused_it(tmp_path: Path) -> None:
         do_run(spec.scenario, tmp_path / "run")
     assert caught.value.__context__ is None
     assert list(tmp_path.glob("run*")) == []
+
+
+def test_what_sumo_says_is_a_failure_in_plain_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(gui: bool) -> None:
+        raise PlantError("SUMO did not start: no licence today")
+
+    monkeypatch.setattr("parking_sim.plants.sumo.load_api", refused)
+    (spec,) = specs_of(tmp_path, "base: {garage: map1, agvs: 1}\n")
+    with pytest.raises(RunFailedError) as caught:
+        do_run(spec.scenario, tmp_path / "run")
+    assert (type(caught.value), str(caught.value)) == (RunFailedError, "SUMO did not start: no licence today")
 
 
 def test_a_partial_record_is_no_record(tmp_path: Path, done: Path) -> None:

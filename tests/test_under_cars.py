@@ -1,12 +1,15 @@
 """Empty AGVs under parked cars in real SUMO: straight in and out, at any step and speed."""
 
+import re
 from pathlib import Path
 
 import pytest
+from small_net import write_net
 
 from parking_sim.config import check_scenario
 from parking_sim.simulation import simulate
 from sumo_nets.bodies import AGV_LENGTH_M
+from sumo_nets.check import check_net
 from sumo_nets.read import read_net
 
 
@@ -50,3 +53,40 @@ def test_spurs_of_slots_have_room_for_two_bodies(name):
     graph = read_net(name).graph
     into = [length for v, length in zip(graph.head, graph.length_m, strict=True) if int(v) in set(graph.slots)]
     assert min(into) >= 2 * AGV_LENGTH_M
+
+
+@pytest.mark.parametrize("garage", ["map1", "small"])
+@pytest.mark.parametrize(("length_m", "fits"), [(4.5, True), (4.8, True), (4.9, False), (5.0, False)])
+def test_an_agv_is_refused_if_its_rear_swings_back_into_its_own_car(garage, length_m, fits, tmp_path, monkeypatch):
+    """What the check of nets expects is what the run's own check, which measures SUMO's bodies, then counts."""
+    source = str(write_net(tmp_path)) if garage == "small" else garage
+    complaints = check_net(read_net(source), (length_m, 2.0), loads=False)
+    assert (complaints == ()) == fits
+    if not fits:
+        monkeypatch.setattr("parking_sim.assembly.require_fit", lambda net, size_m: None)
+    keys = {"garage": source, "agv": {"length_m": length_m, "lift_s": 2.0, "lower_s": 2.0}}
+    collisions, overlaps, turns = counted(agvs=1, workload={"kind": "park_exit", "cars": 3}, **keys)
+    assert (collisions, turns) == (0, 0)
+    assert (overlaps == 0) == fits
+
+
+@pytest.mark.parametrize("length_m", [4.85, 4.9, 5.0])
+def test_the_complaint_names_slot_body_and_what_fits(length_m):
+    net = read_net("map1")
+    said = check_net(net, (length_m, 2.0), loads=False)[0]
+    match = re.fullmatch(
+        rf"(slot\w+): an empty AGV of {length_m:g} x 2 m that turns between the slot and (\S+) has -?\d\.\d\d m to the"
+        r" car parked there; 0.05 m is needed, which AGVs of up to (\S+) m have",
+        said,
+    )
+    assert match is not None, said
+    assert net.graph.index[match[1]] in net.graph.slots
+    assert match[2] in net.graph.edge_names
+    longest_m = float(match[3])
+    assert check_net(net, (longest_m, 2.0), loads=False) == ()
+    assert check_net(net, (longest_m + 0.1, 2.0), loads=False) != ()
+
+
+def test_an_agv_that_leaves_a_slot_keeps_clear_of_the_cars_beside_it():
+    """Long before it is at the aisle: the spurs of a pair bend towards each other."""
+    assert any("at the end of c7_5-slot7_5s2" in line for line in check_net(read_net("map1"), (5.0, 2.0), loads=False))

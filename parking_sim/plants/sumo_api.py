@@ -8,9 +8,11 @@ import shutil
 from contextlib import redirect_stdout
 from typing import Any
 
+from parking_sim.errors import RunFailedError
 
-class PlantError(RuntimeError):
-    """SUMO refused something, or was asked for what it cannot do."""
+
+class PlantError(RunFailedError):
+    """SUMO refused something, or was asked for what it cannot do: the run ends with what its journal holds."""
 
 
 def load_api(gui: bool) -> tuple[Any, str]:
