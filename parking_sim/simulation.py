@@ -275,6 +275,8 @@ class _Run:
         agv, vertex = (*fault.agvs, NO_AGV)[0], (*fault.vertices, NO_VERTEX)[0]
         self._log("fault_start" if fault.started else "fault_end", agv, "", vertex, detail)
         if fault.kind in REPORTED:
+            if not fault.started and any(fault.number in hold.faults for hold in self.acs.holds.of_all()):
+                self._moved_s = self.now_s  # what the fault held needs its time now
             self.acs.report(fault)
 
     def _next_phase(self) -> None:
@@ -304,17 +306,17 @@ class _Run:
         return idle or self.step - self._last_task >= self.world.rules.run_on_steps
 
     def _stalled(self, end_s: float) -> bool:
-        """Nothing has moved for very long, or nothing can happen any more before the end."""
+        """No request is to come, and nothing has moved for very long or can happen any more before the end."""
         mark = (sum(self.acs.executor.moves), self.garage.unfinished, sum(a.acted for a in self.acs.executor.agvs))
         if mark != self._moved or self.garage.unfinished == 0:
             self._moved, self._moved_s = mark, self.now_s
         quiet_s = self.now_s - self._moved_s
-        if quiet_s < self.world.scenario.control.stuck_s + 2 * LOOK_S or self.step % self._look_every:
-            return False
-        if quiet_s >= STALLED_S:
-            return not self._something_ends(end_s)
         # with a duration the hours asked for are simulated whole: waits and rates count to their end
-        return self.world.scenario.duration_s is None and not self._pending and self._held_for_ever(end_s)
+        if self._pending or self.world.scenario.duration_s is not None or self.step % self._look_every:
+            return False
+        if quiet_s < self.world.scenario.control.stuck_s + 2 * LOOK_S:
+            return False
+        return not self._something_ends(end_s) if quiet_s >= STALLED_S else self._held_for_ever(end_s)
 
     def _something_ends(self, end_s: float) -> bool:
         """An action under way, or a fault that holds an AGV or a request, will end before the run does."""

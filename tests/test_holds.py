@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from small_net import write_net
 
 from analysis.explain import explain
 from analysis.faults import FaultSpan
@@ -14,10 +15,9 @@ from analysis.holds import Held, ending, long_waits, reason
 from analysis.tables import load_run
 from parking_sim import simulation
 from parking_sim.config import check_scenario
+from parking_sim.fault_config import LONGEST_S
 from parking_sim.simulation import Summary, simulate
 from sumo_nets.read import read_net
-
-EVER = 1e9
 
 #: Runs are given up after this in these tests, instead of two hours.
 STALLED_S = 420.0
@@ -68,7 +68,7 @@ STOPS: dict[str, tuple[list[dict[str, Any]], tuple[str, ...]]] = {
 def test_a_run_that_nothing_can_help_ends_at_once_and_says_why(tmp_path, monkeypatch, name):
     """No request would have been served later: the same run, told to go on, serves none."""
     script, told = STOPS[name]
-    script = [{"at_s": 60.0, "for_s": EVER, **fault} for fault in script]
+    script = [{"at_s": 60.0, "for_s": LONGEST_S, **fault} for fault in script]
     early = run(tmp_path / "early", script)
     assert early.status == "stalled"
     assert early.metrics["simulated_s"] < 360.0 + 300.0, "the last request comes at 360 s"
@@ -90,7 +90,7 @@ def test_a_zone_stop_without_end_is_named_in_sumo(tmp_path):
     """In ticks an AGV that can't get home gets no task, and the proof does not know that rule."""
     script, told = STOPS["zone"]
     workload = {"kind": "park_exit"}
-    summary = run(tmp_path / "run", [{"at_s": 100.0, "for_s": EVER, **script[0]}], plant="sumo", workload=workload)
+    summary = run(tmp_path / "run", [{"at_s": 100.0, "for_s": LONGEST_S, **script[0]}], plant="sumo", workload=workload)
     assert summary.status == "stalled"
     assert summary.metrics["simulated_s"] < 400.0
     for words in told:
@@ -113,13 +113,73 @@ def test_a_stop_that_ends_stops_no_run(tmp_path, monkeypatch, name):
 
 def test_a_run_with_a_duration_is_simulated_whole(tmp_path):
     """Its rates and waits count to the end that was asked for."""
-    script = [{"at_s": 60.0, "for_s": EVER, "kind": "all_stop"}]
+    script = [{"at_s": 60.0, "for_s": LONGEST_S, "kind": "all_stop"}]
     summary = run(tmp_path / "run", script, duration_s=400.0)
     assert (summary.status, summary.metrics["simulated_s"]) == ("time_limit", 400.0)
     assert "all stop" in summary.held[0]
     waits = long_waits(load_run(tmp_path / "run"))
     assert {wait.agv for wait in waits if wait.reasons[-1].startswith("cannot move: all stop")} == {0, 1, 2, 3}
     assert all(wait.start_s >= 30.0 for wait in waits)
+
+
+def requests(folder: Path, *rows: str) -> dict[str, str]:
+    """A workload of these requests."""
+    path = folder / "requests.csv"
+    path.write_text("\n".join(("time_s,kind,car", *rows)) + "\n", encoding="utf-8")
+    return {"kind": "csv", "path": str(path)}
+
+
+@pytest.fixture
+def slot(tmp_path: Path) -> str:
+    """The slot of a car that comes first."""
+    run(tmp_path / "calm", [], workload=requests(tmp_path, "0,park,a"))
+    return str(load_run(tmp_path / "calm").tasks["destination"].iloc[0])
+
+
+@pytest.mark.parametrize("duration_s", [None, 3000.0])
+def test_a_request_that_comes_late_is_served(tmp_path, slot, duration_s):
+    """One car is lost long before the other one comes."""
+    workload = requests(tmp_path, "0,park,a", "200,retrieve,a", "2000,park,b", "2100,retrieve,b")
+    script = [{"at_s": 100.0, "kind": "blocked", "place": slot, "for_s": LONGEST_S}]
+    summary = run(tmp_path / "run", script, workload=workload, duration_s=duration_s)
+    assert list(load_run(tmp_path / "run").tasks["state"]) == ["served", "waiting", "served", "served"]
+    assert summary.status == ("time_limit" if duration_s else "stalled")
+    assert summary.metrics["simulated_s"] == (duration_s or pytest.approx(2200.0, abs=100.0))
+    assert f"{slot} is blocked (fault 0), and has not ended" in summary.held[0]
+
+
+@pytest.mark.parametrize("end_s", [980.0, 1000.0, 1005.0])
+def test_what_a_fault_held_has_time_when_the_fault_ends(tmp_path, slot, end_s):
+    """Whether or not it ends just when somebody asks."""
+    workload = requests(tmp_path, "0,park,a", "200,retrieve,a")
+    script = [{"at_s": 100.0, "kind": "blocked", "place": slot, "for_s": end_s - 100.0}]
+    summary = run(tmp_path / "run", script, workload=workload)
+    assert (summary.status, summary.held) == ("finished", ())
+
+
+def test_a_fleet_with_low_batteries_works_on_while_every_charger_is_out_of_order(tmp_path):
+    chargers = [read_net("map1").graph.names[v] for v in read_net("map1").graph.chargers]
+    script = [{"at_s": 10.0, "kind": "charger", "place": place, "for_s": LONGEST_S} for place in chargers]
+    script += [{"at_s": 60.0, "kind": "battery", "agv": n, "for_s": 200.0} for n in range(4)]
+    summary = run(tmp_path / "run", script)
+    assert summary.status == "finished"
+    assert summary.metrics["tasks_done"] == summary.metrics["tasks_wanted"]
+    assert not (load_run(tmp_path / "run").events["kind"] == "charge_start").any()
+
+
+def test_a_breakdown_without_end_in_the_only_lane_is_named(tmp_path):
+    """Every way of this garage leads round one loop."""
+    net = str(write_net(tmp_path))
+    workload = requests(tmp_path, "0,park,a", "10,park,b", "300,retrieve,a", "310,retrieve,b")
+    keys = {"garage": net, "agvs": 2, "workload": workload}
+    run(tmp_path / "calm", [], **keys)
+    lift = load_run(tmp_path / "calm").events.query("kind == 'lift'").iloc[0]
+    script = [{"at_s": float(lift["time_s"]) + 6.0, "kind": "breakdown", "agv": int(lift["agv"]), "for_s": LONGEST_S}]
+    summary = run(tmp_path / "run", script, **keys)
+    assert summary.status == "stalled"
+    assert summary.metrics["simulated_s"] < 310.0 + 300.0
+    assert f"breakdown of AGV {lift['agv']} (fault 0), and has not ended" in " ".join(summary.held)
+    assert "no way leads round" in " ".join(summary.held)
 
 
 def test_a_wait_is_told_with_its_chain_and_its_fault():
