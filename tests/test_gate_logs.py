@@ -78,6 +78,25 @@ DIALECTS: dict[str, tuple[str, str, dict[str, str]]] = {
     ),
     "French": (written("Horodatage,Sens,Immatriculation", "%d/%m/%Y %Hh%M", ("sortie", "entrée"), ";"), "utf-8", {}),
     "American": (written("Date/Time,Direction,Plate", "%m/%d/%Y %I:%M:%S %p", ("Out", "In")), "utf-8", {}),
+    "American, in many words": (
+        written("Transaction Time,Direction,License Plate", "%m/%d/%Y %I:%M:%S %p", ("Exit", "Entry")),
+        "utf-8",
+        {},
+    ),
+    "French, in many words": (
+        written("Date et heure,Sens,Immatriculation", "%d/%m/%Y %Hh%M", ("Sortie", "Entrée"), ";"),
+        "cp1252",
+        {},
+    ),
+    "Korean": (
+        written(
+            "일시,구분,차량번호",
+            lambda t: f"{t:%Y-%m-%d} {'오전' if t.hour < 12 else '오후'} {t:%I:%M:%S}",
+            ("출차", "입차"),
+        ),
+        "utf-8-sig",
+        {},
+    ),
     "day first by its dates": (
         written("Fecha,Sentido,Matrícula", "%d/%m/%y %H:%M", ("salida", "entrada"), "\t"),
         "cp1252",

@@ -25,36 +25,36 @@ _HEADER_LINES = 20
 
 
 def _words(text: str) -> frozenset[str]:
-    return frozenset(text.split())
+    return frozenset(unicodedata.normalize("NFKD", text).split())
 
 
 #: Role of a column -> names it is known by, without capitals, accents and punctuation.
 _COLUMNS: Mapping[str, frozenset[str]] = {
-    "date": _words("date datum tag day jour fecha dia data giorno dato"),
+    "date": _words("date datum tag day jour fecha dia data giorno dato 날짜 일자"),
     "time": _words(
-        "time timestamp datetime timeofday moment zeit zeitpunkt zeitstempel uhrzeit datumzeit datumuhrzeit heure"
-        " horodatage dateheure hora fechahora fechayhora momento ora dataora orario datahora tijd tijdstip datumtijd"
-        " tidpunkt tid czas"
+        "time timestamp datetime dateandtime eventtime transactiontime timeofday moment zeit zeitpunkt"
+        " zeitstempel uhrzeit datumzeit datumuhrzeit heure horodatage dateheure dateetheure hora fechahora"
+        " fechayhora momento ora dataora orario datahora tijd tijdstip datumtijd tidpunkt tid czas 일시 시간 시각"
     ),
     "event": _words(
         "event eventtype direction dir type movement inout entryexit action kind ereignis richtung fahrtrichtung"
         " bewegung vorgang einaus sens evenement mouvement entreesortie evento direccion sentido movimiento direzione"
-        " movimento direcao richting gebeurtenis beweging riktning kierunek"
+        " movimento direcao richting gebeurtenis beweging riktning kierunek 구분 입출차 입출차구분"
     ),
     "car": _words(
         "car plate licenceplate licenseplate numberplate platenumber plateno registration vrm vehicle vehicleid ticket"
         " ticketid ticketnumber ticketno card cardid kennzeichen nummernschild kfz fahrzeug ticketnummer karte plaque"
-        " immatriculation vehicule matricula placa vehiculo targa veicolo veiculo kenteken voertuig"
+        " immatriculation vehicule matricula placa vehiculo targa veicolo veiculo kenteken voertuig 차량번호 차번호"
     ),
 }
 #: Words of one meaning only.
 _IN = _words(
     "in i + +1 entry enter entered entrance arrival arrive arrived checkin ein einfahrt eingefahren einfahren zufahrt"
-    " ankunft entree entrer arrivee entrada ingreso entrata ingresso entra inrit inrijden binnen infart wjazd"
+    " ankunft entree entrer arrivee entrada ingreso entrata ingresso entra inrit inrijden binnen infart wjazd 입차"
 )
 _OUT = _words(
     "out o - -1 exit exited leave left departure depart departed checkout aus ausfahrt ausgefahren ausfahren abfahrt"
-    " sortie sortir salida egreso uscita esce saida uit uitrit uitrijden buiten utfart wyjazd"
+    " sortie sortir salida egreso uscita esce saida uit uitrit uitrijden buiten utfart wyjazd 출차"
 )
 _EVENTS: Mapping[str, int] = {**dict.fromkeys(_IN, 1), **dict.fromkeys(_OUT, -1)}
 #: What is written where a plate was not read.

@@ -18,6 +18,8 @@ _STAMP = re.compile(
 )
 _NUMBER = re.compile(r"^\d+(?:[.,]\d+)?$")
 _DIGITS = re.compile(r"^((?:19|20)\d{2})(\d{2})(\d{2})[T ]?(\d{2})(\d{2})(\d{2})$")
+#: Morning or afternoon before the time of day, as Korean writes it.
+_HALF_FIRST = re.compile(r"(오전|오후)\s*(\d{1,2}:\d{2}(?::\d{2})?)")
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _MONTH_NAME = rf"(?P<month>{'|'.join(_MONTHS)})[a-z]*"
 _DAY_MONTH = re.compile(rf"\b(?P<day>\d{{1,2}})[-\s.]+{_MONTH_NAME}[-\s.,]+(?P<year>\d{{4}})", re.IGNORECASE)
@@ -75,8 +77,8 @@ def read_stamps(cells: pd.Series[str], path: Path, dates: str, zone: str) -> tup
 
 
 def _spelt_out(text: str) -> str:
-    """Month names as numbers, and 20240504130730 with marks."""
-    text = text.strip()
+    """Month names as numbers, 20240504130730 with marks, and morning or afternoon behind the time of day."""
+    text = _HALF_FIRST.sub(lambda found: f"{found[2]} {'AM' if found[1] == '오전' else 'PM'}", text.strip())
     if found := _DAY_MONTH.search(text) or _MONTH_DAY.search(text):
         number = _MONTHS.index(found["month"].lower()) + 1
         text = f"{text[: found.start()]}{found['day']}.{number}.{found['year']}{text[found.end() :]}"
