@@ -20,6 +20,7 @@ from analysis.measures import MEASURES, Interval, interval, measure_runs, t_quan
 from analysis.runs import Runs, load_runs
 from analysis.variants import value_text
 from parking_sim.errors import InputError
+from parking_sim.folders import check_ended
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -91,9 +92,10 @@ def select_runs(choice: str) -> Runs:
         Its runs, each with a seed of its own.
 
     Raises:
-        InputError: no such runs, or those of several variants.
+        InputError: no such runs, those of several variants, or one that was killed.
     """
     folder, wanted = split_choice(choice)
+    check_ended(Path(folder))
     try:
         runs = load_runs(Path(folder))
     except (FileNotFoundError, NotADirectoryError) as error:

@@ -24,6 +24,7 @@ from analysis.report import environment, page_title, write_page
 from analysis.tables import Run, load_run
 from analysis.words import words
 from parking_sim.errors import InputError
+from parking_sim.folders import check_ended
 from parking_sim.record import COLUMNS
 
 if TYPE_CHECKING:
@@ -98,8 +99,9 @@ def load_replayed(folder: Path) -> Run:
     """The record of a run that is to be shown.
 
     Raises:
-        InputError: there is none, or one of another version.
+        InputError: there is none, one of a run that was killed, or one of another version.
     """
+    check_ended(folder)
     try:
         run = load_run(folder)
     except FileNotFoundError as error:

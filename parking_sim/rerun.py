@@ -13,7 +13,7 @@ from analysis.tables import load_run
 from analysis.variants import flatten
 from parking_sim.config import Scenario, load_scenario
 from parking_sim.errors import InputError
-from parking_sim.folders import JOURNAL, RUN_FILE
+from parking_sim.folders import check_ended
 from parking_sim.inputs import SCENARIO_FILE, read_inputs
 from parking_sim.simulation import Progress, simulate
 from parking_sim.versions import code_version, versions
@@ -59,8 +59,7 @@ def rerun(folder: Path, out: Path | None = None, progress: Callable[[Progress], 
 
 
 def _recorded(folder: Path) -> Mapping[str, Any]:
-    if (folder / JOURNAL).is_file() and not (folder / RUN_FILE).is_file():
-        raise InputError(f"{folder}: holds a run that did not end; go on with it: parking-sim resume {folder}")
+    check_ended(folder)
     try:
         meta = load_run(folder).meta
     except (FileNotFoundError, NotADirectoryError) as error:

@@ -142,6 +142,16 @@ def test_records_that_cannot_be_repeated(tmp_path: Path, capfd: pytest.CaptureFi
         assert said.count("\n") == 1
 
 
+@pytest.mark.parametrize("words", [["rerun"], ["replay"], ["compare", "FOLDER"]])
+def test_a_killed_run_is_to_be_finished_first(
+    words: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "journal.jsonl").write_text("")
+    assert command(*(str(tmp_path) if word == "FOLDER" else word for word in words), tmp_path) == 2
+    said = capfd.readouterr().err
+    assert said == f"error: {tmp_path}: holds a run that did not end; go on with it: parking-sim resume {tmp_path}\n"
+
+
 def test_a_killed_run_goes_on_from_its_own_files(moved: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     shutil.copytree(moved / "sumo=1", folder)
