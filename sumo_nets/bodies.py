@@ -195,8 +195,6 @@ def driving_bodies(
 ) -> Iterator[tuple[FloatArray, IntArray, IntArray]]:
     """Bodies of AGVs on their way from every lane to every next one, but for ways that fold back.
 
-    An AGV sets out from the end of the lane by which it came, or reversed, from a dead end.
-
     Args:
         tail, head: vertex indices of each lane's ends, shape (m,).
         shapes: each lane's centre line in metres.
@@ -206,18 +204,14 @@ def driving_bodies(
         In batches: bodies as in :func:`standing_bodies`, the lane each comes from and the lane it drives onto.
     """
     leaving: dict[int, list[EdgeIndex]] = {}
-    beside: dict[int, set[int]] = {}
     for lane in numbers(shapes):
         leaving.setdefault(int(tail[lane]), []).append(lane)
-        beside.setdefault(int(tail[lane]), set()).add(int(head[lane]))
-        beside.setdefault(int(head[lane]), set()).add(int(tail[lane]))
     bodies: list[FloatArray] = []
     lanes: list[tuple[int, int]] = []
     for before in numbers(shapes):
         for onto in leaving.get(int(head[before]), ()):
             if head[onto] != tail[before]:
-                reversed_ = len(beside[int(tail[before])]) == 1
-                driven = _drive(shapes[before], shapes[onto], length_m, reversed_)
+                driven = _drive(shapes[before], shapes[onto], length_m)
                 bodies.append(driven)
                 lanes.extend([(before, onto)] * len(driven))
         if len(lanes) > _BATCH or (lanes and before == len(tail) - 1):
@@ -232,10 +226,10 @@ def _folds_back(before: FloatArray, onto: FloatArray) -> bool:
     return float(way_in @ way_on) < _FOLD_COSINE * float(np.hypot(*way_in) * np.hypot(*way_on))
 
 
-def _drive(before: FloatArray, onto: FloatArray, length_m: float, reversed_: bool) -> FloatArray:
-    """Bodies between standing on one lane and at the end of the next; none where the way folds back."""
+def _drive(before: FloatArray, onto: FloatArray, length_m: float) -> FloatArray:
+    """Bodies between standing at the end of one lane and at the end of the next; none where the way folds back."""
     here = before[-1]
-    bodies = _drive_from_origin(seen_from(here, before), seen_from(here, onto), length_m, reversed_)
+    bodies = _drive_from_origin(seen_from(here, before), seen_from(here, onto), length_m)
     driven: FloatArray = bodies + np.array([*here, 0.0, 0.0])
     return driven
 
@@ -253,13 +247,12 @@ def _rear_from_origin(line: bytes, length_m: float) -> FloatArray:
 
 
 @lru_cache(maxsize=1 << 10)
-def _drive_from_origin(before: bytes, onto: bytes, length_m: float, reversed_: bool) -> FloatArray:
+def _drive_from_origin(before: bytes, onto: bytes, length_m: float) -> FloatArray:
     line_in, line_on = (np.frombuffer(line).reshape(-1, 2) for line in (before, onto))
     if _folds_back(line_in, line_on):
         return np.empty((0, 4))
     way = np.concatenate([line_in, line_on])
-    fronts = np.arange(length_m if reversed_ else line_m(line_in), line_m(way), _SAMPLE_M)
-    return bodies_along(way, fronts, length_m)
+    return bodies_along(way, np.arange(line_m(line_in), line_m(way), _SAMPLE_M), length_m)
 
 
 def line_m(shape: FloatArray) -> float:

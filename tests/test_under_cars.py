@@ -85,8 +85,3 @@ def test_the_complaint_names_slot_body_and_what_fits(length_m):
     longest_m = float(match[3])
     assert check_net(net, (longest_m, 2.0), loads=False) == ()
     assert check_net(net, (longest_m + 0.1, 2.0), loads=False) != ()
-
-
-def test_an_agv_that_leaves_a_slot_keeps_clear_of_the_cars_beside_it():
-    """Long before it is at the aisle: the spurs of a pair bend towards each other."""
-    assert any("at the end of c7_5-slot7_5s2" in line for line in check_net(read_net("map1"), (5.0, 2.0), loads=False))
