@@ -137,9 +137,11 @@ def _asked(runs: Runs, frame: pd.DataFrame) -> list[tuple[str, str]]:
 
 
 def _starts(runs: Runs) -> list[tuple[str, str]]:
-    """The times of day at which runs start, if their demand has any."""
-    metas = [load_run(folder).meta for folder in runs.folders.values()]
-    starts = dict.fromkeys(Clock.of(meta).at(0.0) for meta in metas if meta.get("day_start_h") is not None)
+    """The times of day at which runs start, and that some have none; nothing if no run has any."""
+    clocks = [Clock.of(load_run(folder).meta) for folder in runs.folders.values()]
+    starts = dict.fromkeys(clock.at(0.0) for clock in clocks if clock.day_start_h is not None)
+    if starts and any(clock.day_start_h is None for clock in clocks):
+        starts["none for some variants"] = None
     return [("time of day at the start", ", ".join(starts))] if starts else []
 
 
@@ -158,7 +160,9 @@ def _headlines(runs: Runs, variants: Sequence[Measured], frame: pd.DataFrame) ->
     if known and len(variants) > 1:
         best = min(known, key=lambda i: known[i].mean)
         tied = sum(w.low <= known[best].high for w in known.values()) - 1
-        also = f"; the intervals of {tied} others reach into its own" if tied else ""
+        also = f"; the intervals of {tied} others reach into its own" if tied and known[best].runs > 1 else ""
+        if known[best].runs == 1 < variants[best].runs:
+            also = "; only one of its runs had retrievals, so that there is no interval"
         lines.append(
             f"Customers waited least with {variants[best].variant.name}: 19 of 20 had their car within"
             f" {_interval_words(known[best])} s of asking, mean over runs{also}.{_away(variants[best])}"

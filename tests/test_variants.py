@@ -158,6 +158,7 @@ def test_the_report_names_variants_and_says_what_they_are(days: Path) -> None:
         "12 runs of 6 variants",
         "workload.kind=profile",
         "breakdown",
+        "11:30:00, none for some variants",
     ):
         assert words in page
     assert "{&#34;" not in page
