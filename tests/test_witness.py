@@ -102,16 +102,17 @@ def test_fewer_bays_are_the_ones_of_the_layout(tmp_path: Path, tall: Path) -> No
     assert set(record.tasks[record.tasks.kind == "park"].origin) == {"bay2_9w"}
 
 
-def test_the_script_of_the_docs_finds_the_same(tall_run: Run, tmp_path: Path, tall: Path) -> None:
+@pytest.mark.parametrize("step_s", [0.5, 0.1])
+def test_the_script_of_the_docs_finds_the_same(step_s: float, tall_run: Run, tmp_path: Path, tall: Path) -> None:
     script = re.search(r"```python\n(.*?)```", (DOCS / "witnesses.md").read_text(encoding="utf-8"), re.DOTALL)[1]
     assert len(script.splitlines()) == 10
     (tmp_path / "stays.py").write_text(script, encoding="utf-8")
-    record = park_and_exit(tmp_path / "run", str(tall))
+    record = park_and_exit(tmp_path / "run", str(tall), step_s=step_s)
     told = subprocess.run(
         [sys.executable, "stays.py", "run"], cwd=tmp_path, capture_output=True, text=True, check=True
     ).stdout
     assert told.splitlines()[-1] == "16 of 16 stays as in tasks"
-    assert record.meta["digest"] == tall_run.meta["digest"]
+    assert (record.meta["digest"] == tall_run.meta["digest"]) == (step_s == tall_run.meta["step_s"])
 
 
 def swap_sites(net, first: int = 0, second: int = 1):
