@@ -17,6 +17,7 @@ import numpy as np
 
 from analysis.clock import Clock
 from analysis.deadlocks import deadlocks, outcome
+from analysis.faults import fault_spans
 from analysis.replay_cars import MODES, jobs_shown, plans_shown, read_track, stays_shown
 from analysis.replay_data import Floats, Ints, Window, ms, pack
 from analysis.replay_floor import Floor, read_floor
@@ -211,12 +212,15 @@ def _deadlocks(run: Run, window: Window) -> list[dict[str, Any]]:
 
 def _incidents(run: Run, window: Window) -> list[dict[str, Any]]:
     """Whatever else deserves a mark on the time bar."""
+    faults = fault_spans(run)
     return [
         {
             "time": int(ms(time)),
             "kind": words(kind),
             "who": row["car"] or (f"AGV {row['agv']}" if row["agv"] >= 0 else ""),
-            "what": ", ".join(f"{words(key)} {value}" for key, value in detail.items()),
+            "what": faults[detail["fault"]].text
+            if kind in ("fault_start", "fault_end")
+            else ", ".join(f"{words(key)} {value}" for key, value in detail.items()),
         }
         for kind in _INCIDENTS
         for time, row, detail in _details(run, kind)

@@ -49,6 +49,8 @@ def little_run() -> Run:
     recorder.event(
         220.0, "deadlock_resolved", deadlock=0, members=[0, 1], cause="head_on", stage="pull_over", cost_s=140
     )
+    recorder.event(230.0, "fault_start", vertex="b", fault=0, cause="blocked", agvs=[], vertices=[1])
+    recorder.event(240.0, "fault_end", vertex="b", fault=0, cause="blocked")
     recorder.task(
         TaskRow(0, "retrieve", "p1", "served", "", 0, "d", "a", requested_s=5.0, ready_s=5.0, assigned_s=10.0,
                 lifted_s=20.0, delivered_s=250.0, done_s=260.0)
@@ -164,6 +166,15 @@ def test_initial_cars_deadlocks_and_jobs() -> None:
     assert (lock["end"], lock["cost_s"]) == ("resolved by pull over, 140 s after the wait began", 140.0)
     assert (columns["job_lifted"], columns["job_delivered"], columns["done"]) == ([20_000], [250_000], [260_000])
     assert columns["plan_path"] == [3, 2, 1, 0, 2, 1, 0]
+
+
+def test_faults_are_told_by_the_names_of_places() -> None:
+    head, _ = unpack(replay_page(little_run()))
+    told = [(row["time"], row["kind"], row["what"]) for row in head["incidents"]]
+    assert told == [
+        (230_000, "fault start", "b is blocked (fault 0)"),
+        (240_000, "fault end", "b is blocked (fault 0)"),
+    ]
 
 
 def test_window_holds_what_lies_in_it(folder: Path) -> None:
