@@ -15,8 +15,8 @@ AGV_FAULTS: tuple[AgvFault, ...] = ("stop", "slow", "stale", "breakdown", "batte
 PLACE_FAULTS: tuple[PlaceFault, ...] = ("blocked", "bay", "charger", "zone_stop")
 DRAWN_FAULTS: tuple[AnyFault, ...] = (*AGV_FAULTS, *PLACE_FAULTS, "all_stop")
 
-#: Longest that a fault may last: some four months.
-LONGEST_S = 1e7
+#: Longest that a fault may last: some three hundred years, longer than any run.
+LONGEST_S = 1e10
 
 
 class _Options(BaseModel):
