@@ -20,7 +20,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+import numpy as np
+
 from controller.types import (
+    NEVER,
     NO_AGV,
     NO_REQUEST,
     Act,
@@ -46,7 +49,8 @@ class Authority:
         trail: vertices that belong to the AGV, oldest first; the last one is where its authority ends.
         first: number (in the plant's counting) of ``trail[0]``.
         reached: number of the last vertex its front has reached.
-        in_edge: edge into the last vertex of the trail, -1 before the first move.
+        in_edge: edge into the last vertex of the trail, -1 before the first move; after a turn in place the one from
+            where it has turned to, unless the edge by which it came bars some way on.
         pending: vertices planned but not granted.
         standing: at the end of its authority with nothing under way.
         acting_until: step at which the action under way ends, -1 when none is.
@@ -114,6 +118,10 @@ class Executor:
         self.moves: NumberedList[AgvNumber, int] = [0] * len(starts)
         self.distance_m: NumberedList[AgvNumber, float] = [0.0] * len(starts)
         self.closed: frozenset[Vertex] = frozenset()
+        # lanes that do not lead on to every lane at their end: SUMO swings a body round only when it drives on, so that
+        # an AGV that has turned there still lies on such a lane, and the ways that it bars stay barred
+        lane_of = np.repeat(np.arange(len(graph.tail)), np.diff(motion.first_transition))
+        self._hindered = frozenset(lane_of[motion.turn_steps[0] >= NEVER].tolist())
         self._due: set[AgvNumber] = set()
         self._seen: NumberedList[AgvNumber, AgvState | None] = [None] * len(starts)
         self._unable_since: dict[AgvNumber, int] = {}
@@ -246,7 +254,8 @@ class Executor:
                     if not a.standing or run:
                         break
                     a.turned_to = w
-                    if self.graph.reverse[edge] >= 0:  # it stands now as if it had come from there
+                    if self.graph.reverse[edge] >= 0 and a.in_edge not in self._hindered:
+                        # it stands now as if it had come from there
                         a.in_edge = EdgeIndex(int(self.graph.reverse[edge]))
                     if rotation:
                         commands.append(self.act(agv, Action.TURN, rotation, step))

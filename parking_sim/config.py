@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Literal, Self
@@ -311,7 +312,7 @@ def _validate(data: dict[str, object], overrides: Mapping[str, object], source: 
         scenario = Scenario.model_validate({**data, **overrides})
     except ValidationError as error:
         wrong = first_error(error, Scenario)
-        if wrong.partition(":")[0] in overrides:
+        if re.split(r"[.:\[]", wrong, maxsplit=1)[0] in overrides:
             source = "command line"
         raise InputError(f"{source}: {wrong}") from None
     scenario._base_dir = base_dir

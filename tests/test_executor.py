@@ -310,6 +310,20 @@ def test_a_fold_at_the_start_of_a_path_is_refused_by_the_edge_it_came_by():
     assert drive.executor.accept({0: way(FORK, 0, "ra")}) is None
 
 
+def test_a_turn_in_place_does_not_open_the_fold():
+    """Out of slot a, turned towards c, then planned into slot b instead: the body still lies on the lane out of a."""
+    graph = lanes({"r": (0, 0), "a": (1, 0.3), "b": (1, -0.3), "c": (0, 1)}, "r-a r-b r-c")
+    drive = Drive.of(graph, bodies(graph), [graph.index["a"]])
+    assert drive.executor.accept({0: way(graph, 0, "arc")}) is None
+    while drive.executor.agvs[0].turned_to != graph.index["c"]:
+        drive.once()
+    assert drive.executor.agvs[0].last == graph.index["r"]
+    refusal = drive.executor.accept({0: way(graph, 0, "rb")})
+    assert isinstance(refusal, Refusal)
+    assert refusal.kind == "edge"
+    assert drive.executor.accept({0: way(graph, 0, "rcrb")}) is None
+
+
 @pytest.mark.parametrize("make", [make_astar, make_dstar_lite])
 def test_planners_blind_to_turns_do_not_plan_a_fold(make):
     into = FORK.edge_index[FORK.index["a"], FORK.index["r"]]
