@@ -19,6 +19,7 @@ from analysis.runs import Runs, load_runs
 from analysis.tables import load_run
 from analysis.turned_away import percent
 from analysis.variants import NAME, Variant, label, value_text
+from analysis.words import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -160,7 +161,8 @@ def _headlines(runs: Runs, variants: Sequence[Measured], frame: pd.DataFrame) ->
     if known and len(variants) > 1:
         best = min(known, key=lambda i: known[i].mean)
         tied = sum(w.low <= known[best].high for w in known.values()) - 1
-        also = f"; the intervals of {tied} others reach into its own" if tied and known[best].runs > 1 else ""
+        others = counted(tied, "other variant")
+        also = f"; {others} may be as good: the intervals overlap" if tied and known[best].runs > 1 else ""
         if known[best].runs == 1 < variants[best].runs:
             also = "; only one of its runs had retrievals, so that there is no interval"
         lines.append(
