@@ -521,3 +521,15 @@ def test_the_commands_print_what_they_did(tmp_path: Path, capsys: pytest.Capture
         main(["fit-profile", str(tmp_path / "log.csv"), "--slots", "90", "--out", str(tmp_path / "q.yaml")])
     assert "no column for the time" in capsys.readouterr().err
     assert not (tmp_path / "q.yaml").exists()
+
+
+def test_a_log_of_a_korean_windows(tmp_path: Path) -> None:
+    rows = ["일시,구분,차량번호", "2026-03-02 08:00:00,입차,12가3456", "2026-03-02 09:00:00,출차,12가3456"]
+    (tmp_path / "log.csv").write_text("\n".join(rows), encoding="cp949")
+    assert set(read_gate_log(tmp_path / "log.csv").cars) == {"12가3456"}
+
+
+@pytest.mark.parametrize("word", ["ÄNDERUNG", "ÄÖÜ", "GROSSMÄRKTE", "ZÜRICH", "CITROËN", "ÉCOLE", "AÇÃO", "SEÑAL", "Ö"])
+def test_western_letters_are_not_taken_for_korean(tmp_path: Path, word: str) -> None:
+    (tmp_path / "log.csv").write_text(f"time,event,car\n2026-03-02 08:00,in,{word}\n", encoding="cp1252")
+    assert read_gate_log(tmp_path / "log.csv").cars == (word,)

@@ -166,7 +166,7 @@ def _pairs(text: str, option: str, keys: tuple[str, ...]) -> list[tuple[str, str
 
 
 def _decode(path: Path) -> tuple[str, str]:
-    """Text and encoding of a file: by its mark, by UTF-16's zeros, or UTF-8 if it can be."""
+    """Text and encoding of a file: by its mark, by UTF-16's zeros, UTF-8 if it can be, or Korean if it is."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -178,7 +178,7 @@ def _decode(path: Path) -> tuple[str, str]:
     elif zeros:
         encodings = ["utf-16-be" if sample[0] == 0 else "utf-16-le"]
     else:
-        encodings = ["utf-8-sig", "cp1252"]
+        encodings = ["utf-8-sig", "cp949" if _is_korean(data) else "cp1252"]
     for encoding in encodings:
         try:
             text = data.decode(encoding)
@@ -186,7 +186,20 @@ def _decode(path: Path) -> tuple[str, str]:
             continue
         if "\0" not in text:
             return text, encoding.removesuffix("-sig")
-    raise InputError(f"{path}: can't be read as a CSV file: is neither UTF-8, UTF-16 nor Windows-1252 text")
+    raise InputError(f"{path}: can't be read as a CSV file: is neither UTF-8, UTF-16, Korean nor Windows-1252 text")
+
+
+def _is_korean(data: bytes) -> bool:
+    """Whether bytes are text of a Korean Windows: beyond ASCII there are Hangul syllables alone, also some in a row.
+
+    Nearly any bytes can be read as Windows-1252. Its accented letters stand alone or in pairs, which make no syllable,
+    or a single one.
+    """
+    try:
+        text = data.decode("cp949")
+    except UnicodeDecodeError:
+        return False
+    return re.search("[가-힣]{2}", text) is not None and all("가" <= x <= "힣" for x in text if not x.isascii())
 
 
 def _find_header(lines: list[str], dialect: Dialect, path: Path) -> tuple[int, str, list[str]]:
