@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import ast
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -32,26 +35,59 @@ def kernel(function: F) -> F:
     return compiled
 
 
-def forget_stale_code(package: Path) -> None:
-    """Delete the machine code kept for a package if any of its sources has changed since this was last called.
+def forget_stale_code(root: Path, packages: Sequence[str]) -> None:
+    """Delete the machine code of each file that has changed, or that imports one that has, however indirectly.
 
     numba looks at the file that a function is in, and at none of those that the functions are in which it calls: it
     would go on with the old code of these.
 
     Args:
-        package: folder of the sources; machine code lies beside them.
+        root: folder of the packages; machine code lies beside the sources.
+        packages: names of the packages.
     """
-    sources = [(file.relative_to(package), file.stat()) for file in sorted(package.rglob("*.py"))]
-    stamp = "\n".join(f"{name} {stat.st_mtime_ns} {stat.st_size}" for name, stat in sources)
-    seen = package / "__pycache__" / "kernels.stamp"
+    files = {file.relative_to(root).as_posix(): file for name in packages for file in (root / name).rglob("*.py")}
+    times = {name: file.stat().st_mtime_ns for name, file in sorted(files.items())}
+    seen = root / packages[0] / "__pycache__" / "kernels.json"
     with suppress(OSError):  # where nothing can be written no machine code lies either
-        if seen.exists() and seen.read_text(encoding="utf-8") == stamp:
+        kept: dict[str, Any] = json.loads(seen.read_text(encoding="utf-8")) if seen.exists() else {}
+        if kept.get("times") == times:
             return
-        for code in (*package.rglob("*.nbi"), *package.rglob("*.nbc")):
-            code.unlink(missing_ok=True)
+        sources = {name: file.read_bytes() for name, file in files.items()}
+        digests = {
+            name: _digest(name, sources)
+            for name, source in sources.items()
+            if b"numba" in source or b"kernel" in source
+        }
+        for name, digest in digests.items():
+            if kept.get("digests", {}).get(name) != digest:
+                for code in files[name].parent.joinpath("__pycache__").glob(f"{files[name].stem}.*.nb[ci]"):
+                    code.unlink(missing_ok=True)
         seen.parent.mkdir(exist_ok=True)
-        seen.write_text(stamp, encoding="utf-8")
+        seen.write_text(json.dumps({"times": times, "digests": digests}), encoding="utf-8")
 
 
-for _package in ("controller", "sumo_nets", "parking_sim"):
-    forget_stale_code(Path(__file__).parents[1] / _package)
+def _digest(name: str, sources: Mapping[str, bytes]) -> str:
+    """Hash of a source and of all that it imports."""
+    reached, new = {name}, [name]
+    while new:
+        imported = _imported(sources[new.pop()], sources) - reached
+        reached |= imported
+        new += imported
+    total = hashlib.sha256()
+    for each in sorted(reached):
+        total.update(each.encode() + sources[each])
+    return total.hexdigest()
+
+
+def _imported(source: bytes, sources: Mapping[str, bytes]) -> set[str]:
+    """The sources that a source names in its imports."""
+    names = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    return {file for name in names if (file := name.replace(".", "/") + ".py") in sources}
+
+
+forget_stale_code(Path(__file__).parents[1], ("controller", "sumo_nets", "parking_sim"))
