@@ -20,6 +20,25 @@ BASE_PRIORITY = {
 FREE_MODES = frozenset({AgvMode.IDLE, AgvMode.RETURNING_HOME_EMPTY})
 
 
+@dataclass(frozen=True, slots=True)
+class StuckBoost:
+    """How far waiting raises an AGV's priority. Defaults are those of the thesis's program.
+
+    Attributes:
+        step: boost for each tick an AGV has been stuck.
+        after: stuck ticks from which on the boost is ``most``.
+        most: the boost of an AGV that has been stuck for long.
+    """
+
+    step: int = 10
+    after: int = 5
+    most: int = 1000
+
+    def of(self, stuck: int) -> int:
+        """The boost after so many stuck ticks."""
+        return self.most if stuck >= self.after else self.step * stuck
+
+
 @dataclass(slots=True, eq=False)
 class Agv:
     """One AGV as the ACS sees it.
@@ -56,15 +75,15 @@ class Agv:
         return self.goal if self.then < 0 else self.then
 
 
-def priority(agv: Agv, stuck: int) -> int:
+def priority(agv: Agv, stuck: int, boost: StuckBoost) -> int:
     """Priority of an AGV in planning, higher first (thesis 2025, III-2).
 
     Args:
         agv: the AGV.
         stuck: how many moves it could have made while it stood waiting.
+        boost: how far that raises its priority.
 
     Returns:
-        ``Base * 100 + StuckBoost - id``; from 5 stuck ticks on the boost is 1000, before that 10 for each.
+        ``Base * 100 + StuckBoost - id``.
     """
-    boost = 1000 if stuck >= 5 else 10 * stuck
-    return BASE_PRIORITY.get(agv.mode, 0) * 100 + boost - agv.number
+    return BASE_PRIORITY.get(agv.mode, 0) * 100 + boost.of(stuck) - agv.number

@@ -14,7 +14,7 @@ from controller.deadlock.cut_off import find_cut_off
 from controller.deadlock.ladder import Ladder, LadderLimits
 from controller.deadlock.waits import Progress, WaitGraph, wait_graph
 from controller.executor import Executor
-from controller.fleet import Agv, priority
+from controller.fleet import Agv, StuckBoost, priority
 from controller.reordering import reorder
 from controller.replanning import anybody_stands, waits_ahead, without_plan
 from controller.rules import Rules
@@ -57,6 +57,7 @@ class ControlOptions:
         window_min, window_max, window_step: the window adapts between these.
         score_keep, score_scc, score_up, score_down: the window grows by a step when the congestion score
             ``floor(keep * old) + wait edges + scc * SCCs`` is above ``up`` and shrinks below ``down``.
+        boost: how far waiting raises an AGV's priority.
         ladder: limits of deadlock resolution.
     """
 
@@ -74,6 +75,7 @@ class ControlOptions:
     score_scc: int = 5
     score_up: int = 24
     score_down: int = 10
+    boost: StuckBoost = field(default_factory=StuckBoost)
     ladder: LadderLimits = field(default_factory=LadderLimits)
 
 
@@ -250,7 +252,7 @@ class Planning:
         ready = self._executor.ready_step(agv.number, step)
         dwell = self._rules.lift_bay
         goal = a.last if agv.heads_for in self._executor.closed else agv.heads_for
-        rank = priority(agv, stuck)
+        rank = priority(agv, stuck, self._options.boost)
         avoids = self._rules.empty_avoid_slots and agv.mode is AgvMode.RETURNING_HOME_EMPTY
         return PlanAgent(agv.number, a.last, a.in_edge, ready, goal, a.leaves_loaded, dwell, rank, a.turned_to, avoids)
 

@@ -11,6 +11,7 @@ import numpy as np
 from controller.acs import Acs, Setup
 from controller.deadlock.ladder import LadderLimits
 from controller.dispatch import DISPATCH
+from controller.fleet import StuckBoost
 from controller.garage import Customers, Garage
 from controller.planners.cbs import CbsLimits
 from controller.planners.table import load_planner
@@ -221,5 +222,6 @@ def control_options(config: ControlConfig, plant: PlantKind, cell_steps: int, st
         score_scc=config.score_scc,
         score_up=config.score_up,
         score_down=config.score_down,
+        boost=StuckBoost(config.boost_step, config.boost_after, config.boost_max),
         ladder=ladder,
     )

@@ -77,6 +77,11 @@ class ControlConfig(_Options):
     score_scc: int = Field(default=5, ge=0, description="weight of a strongly connected component in the score")
     score_up: int = Field(default=24, ge=0, description="the window grows when the score is above this")
     score_down: int = Field(default=10, ge=0, description="the window shrinks when the score is below this")
+    boost_step: int = Field(
+        default=10, ge=0, description="priority an AGV gains for each move it could have made while it waited"
+    )
+    boost_after: int = Field(default=5, ge=1, description="moves' time of waiting from which on it gains boost_max")
+    boost_max: int = Field(default=1000, ge=0, description="priority an AGV gains when it has waited for that long")
     stuck_s: float = Field(
         default=120.0, gt=0, le=DAY_S, description="seconds without progress after which an AGV is stuck"
     )

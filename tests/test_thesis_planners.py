@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 from analysis.bound import least_steps
 from analysis.tick_conflicts import meetings
 from controller.conflicts import find_conflicts
+from controller.fleet import Agv, StuckBoost, priority
 from controller.planners.astar import AStar, make_astar
 from controller.planners.dstar_lite import DStarLite, make_dstar_lite
 from controller.planners.one_step import STAY
 from controller.search.space import Space
-from controller.types import FOREVER, PlanAgent, PlanningProblem
+from controller.types import FOREVER, AgvMode, AgvNumber, PlanAgent, PlanningProblem
 from parking_sim.config import load_scenario
 from parking_sim.reproduce.thesis import FAIR, THESIS, Case, run_case
 from parking_sim.rulesets import RULE_SETS
@@ -113,6 +114,24 @@ def test_park_and_fetch_by_name_under_fair_rules_without_a_conflict(planner):
     row = run(planner, FAIR, agvs=4, cars=30, seed=1)
     assert (row["completion"], row["conflicts"]) == (1.0, 0)
     assert row["bound_share"] <= 1
+
+
+def test_priority_is_that_of_the_formula():
+    agv = Agv(AgvNumber(3), home=0, goal=1, mode=AgvMode.RETURNING_WITH_CAR)
+    assert [priority(agv, stuck, StuckBoost()) for stuck in (0, 1, 4, 5, 9)] == [297, 307, 337, 1297, 1297]
+    assert [priority(agv, stuck, StuckBoost(7, 2, 50)) for stuck in (0, 1, 2, 3)] == [297, 304, 347, 347]
+
+
+def test_each_key_of_the_boost_changes_the_record():
+    def record(control):
+        keys = {"agvs": 4, "plant": "discrete", "planner": "astar", "control": control}
+        keys["workload"] = {"kind": "park_exit", "cars": 20}
+        m = simulate(load_scenario("map1_thesis", keys), None).metrics
+        return m["steps"], m["movement_cost"]
+
+    others = [record(control) for control in ({"boost_step": 40}, {"boost_after": 2}, {"boost_max": 0})]
+    assert record({"boost_step": 10, "boost_after": 5, "boost_max": 1000}) == record({})
+    assert record({}) not in others
 
 
 @pytest.mark.parametrize("planner", ["astar", "dstar_lite"])
