@@ -311,15 +311,15 @@ class PlanResult:
         paths: by AGV number; with PARTIAL only of those that got one, agents without one keep their place.
         failed: for each agent without a path the AGV that is in its way, or -1 if unknown.
         counters: search work of this call.
-        waits: wait-for edges the planner met while planning, from the AGV that waits to the one it waits for; empty
-            under planners that keep no wait-for graph of their own.
+        waits: wait-for edges the planner met while planning, as (AGV that waits, AGV it waits for), one for each
+            conflict; empty under planners that keep no wait-for graph of their own.
     """
 
     status: Status
     paths: Mapping[AgvNumber, Path]
     failed: Mapping[AgvNumber, AgvNumber] = field(default_factory=dict)
     counters: Counters = field(default_factory=Counters)
-    waits: Mapping[AgvNumber, AgvNumber] = field(default_factory=dict)
+    waits: tuple[tuple[AgvNumber, AgvNumber], ...] = ()
 
 
 #: A planner is anything that answers a problem. Those with search memory are objects with ``__call__``.
