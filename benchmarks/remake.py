@@ -8,7 +8,7 @@ The runs of a set are rows of ``benchmarks/results/SET.csv``, each with the vers
 it. A row is written as soon as its run has ended, and rows of the present code are not made again: a killed process
 goes on where it stopped, and the same command after a change of the code makes all rows anew. A table stands in a
 document between ``<!-- table: NAME -->`` and ``<!-- /table -->``; nothing between these is typed by hand, and a test
-compares it with the results. Sets and tables are defined in ``figures.py``.
+compares it with the results. Sets and tables are defined in the ``*_tables.py`` beside it; ``figures.py`` gathers them.
 """
 
 from __future__ import annotations
