@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import numpy as np
@@ -270,7 +270,13 @@ class Planning:
         cut_off = find_cut_off(self._executor, self._agvs, self._costs, problem.blocked)
         self._progress.update(step, cut_off.by_fault)
         self._adapt(waits)
-        self._ladder.step(step, waits, problem, cut_off)
+        self._ladder.step(step, waits, lambda: self._whole(step, problem), cut_off)
+
+    def _whole(self, step: int, problem: PlanningProblem) -> PlanningProblem:
+        """The problem for the ladder: all AGVs that can move, whatever the planner was given."""
+        locked = self._ladder.locked
+        free = (agv for agv in self._agvs if agv.number not in locked and not agv.immobile)
+        return replace(problem, agents=tuple(self._agent(agv, step) for agv in free), carrying=())
 
     def _adapt(self, waits: WaitGraph) -> None:
         o = self._options

@@ -21,7 +21,7 @@ members is under tow, or cut off by a fault, and stands in the way of the others
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from controller.deadlock.cut_off import CutOff
@@ -139,13 +139,14 @@ class Ladder:
         """AGVs that carry out a resolution and must not be planned for."""
         return {n for d in self._open for n in d.locked}
 
-    def step(self, step: int, waits: WaitGraph, problem: PlanningProblem, cut_off: CutOff) -> None:
+    def step(self, step: int, waits: WaitGraph, problem: Callable[[], PlanningProblem], cut_off: CutOff) -> None:
         """Look after running resolutions, find new deadlocks and resolve them.
 
         Args:
             step: now.
             waits: who waits for whom.
-            problem: the planning problem of this step (blocked vertices, agents that may be planned for).
+            problem: makes the planning problem of this step: blocked vertices, and all AGVs that can move and carry out
+                no resolution.
             cut_off: the AGVs that faults keep from their goals.
         """
         waiting = {n for group in (*waits.rings, *waits.blocked_by_idle) for n in group}
@@ -158,13 +159,13 @@ class Ladder:
                 deadlock.stage, deadlock.leader = "replanned", deadlock.members[0]
                 self._close(deadlock, step)
             elif step - deadlock.moved >= patience and not self.locked.intersection(deadlock.members):
-                self._resolve(deadlock, step, problem)
+                self._resolve(deadlock, step, problem())
         taken = {n for d in self._open for n in (*d.members, *d.locked)}
         for members, cause in self._candidates(step, waits):
             if not taken.intersection(members):
                 deadlock = self._found(self._kind(members, cut_off), members, cause, step, waits)
                 self._open.append(deadlock)
-                self._resolve(deadlock, step, problem)
+                self._resolve(deadlock, step, problem())
                 taken.update(deadlock.members, deadlock.locked)
 
     # --- finding --------------------------------------------------------------------------------------------------
