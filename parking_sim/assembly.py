@@ -30,6 +30,7 @@ from sumo_nets.check import require_fit
 from sumo_nets.doors import one_door_each
 from sumo_nets.in_use import first_places
 from sumo_nets.numbering import Numbered, Vertex
+from sumo_nets.passing import crowded
 from sumo_nets.read import GarageNet, read_net
 from sumo_nets.wording import one_of
 
@@ -119,6 +120,8 @@ def assemble(scenario: Scenario) -> World:
     homes = net.graph.homes
     if scenario.agvs > len(homes):
         raise InputError(f"agvs: {scenario.agvs}: {net.name} has homes for 1 to {len(homes)}")
+    if crowd := crowded(one_door_each(net).graph, scenario.agvs):
+        raise InputError(f"agvs: {scenario.agvs}: {net.name}: {crowd}")
     if net.handover == "home" and (scenario.customers.balk_cars or scenario.customers.balk_min):
         raise InputError(f"customers: balk_cars, balk_min: {net.name} has no queue: cars are handed over at homes")
     demand = make_demand(scenario.workload, len(net.graph.slots), scenario.seed, scenario.base_dir)

@@ -23,6 +23,7 @@ from sumo_nets.doors import one_door_each
 from sumo_nets.errors import NetError
 from sumo_nets.graph import FloatArray, Graph
 from sumo_nets.numbering import EdgeIndex, Vertex, numbered
+from sumo_nets.passing import crowded
 from sumo_nets.read import GarageNet, is_shipped
 from sumo_nets.under_cars import longest_with_room_m, tightest_turn
 from sumo_nets.ways import cut_off, shut_in, unconnected_turns
@@ -101,6 +102,8 @@ def describe_net(garage: GarageNet) -> str:
     one_way = int((graph.reverse < 0).sum())
     passed = len(graph.tail) - len(one_door_each(garage).graph.tail)
     notes = [describe(graph)]
+    if crowd := crowded(one_door_each(garage).graph, len(graph.homes)):
+        notes.append(f"not all AGVs can work at once: {crowd}")
     if passed:
         notes.append(f"slots are not driven through in SUMO, which leaves {passed} lanes unused")
     if graph.unconnected:

@@ -26,8 +26,7 @@ def one_door_each(net: GarageNet) -> GarageNet:
         :func:`sumo_nets.check.check_net` names it.
     """
     graph = net.graph
-    door = doors(graph)
-    kept = [e for e, (u, v) in numbered(graph.ends) if door.get(u, v) == v and door.get(v, u) == u]
+    kept = lanes_by_doors(graph)
     if len(kept) == len(graph.tail):
         return net
     stations = net.charging_station_of_edge
@@ -38,6 +37,12 @@ def one_door_each(net: GarageNet) -> GarageNet:
         bidi=net.bidi[kept],
         charging_station_of_edge={EdgeIndex(i): stations[e] for i, e in enumerate(kept) if e in stations},
     )
+
+
+def lanes_by_doors(graph: Graph) -> list[EdgeIndex]:
+    """The lanes that are left when each slot keeps only those to its door and back."""
+    door = doors(graph)
+    return [e for e, (u, v) in numbered(graph.ends) if door.get(u, v) == v and door.get(v, u) == u]
 
 
 def doors(graph: Graph) -> dict[Vertex, Vertex]:

@@ -29,11 +29,11 @@ def shut_in(graph: Graph) -> Iterator[str]:
     for slot, door in doors(graph).items():
         passed.remove_edges_from([(slot, v) for v in graph.successors[slot] if v != door])
         passed.remove_edges_from([(v, slot) for v in model.predecessors(slot) if v != door])
-    places = _places(graph)
-    open_floor = max(nx.strongly_connected_components(passed), key=lambda part: (len(part & places), len(part)))
+    ends = places(graph)
+    open_floor = max(nx.strongly_connected_components(passed), key=lambda part: (len(part & ends), len(part)))
     beyond = model.subgraph(set(model) - open_floor).to_undirected()
     for part in sorted(nx.connected_components(beyond), key=min):
-        behind = sorted(part & places)
+        behind = sorted(part & ends)
         gates = {slot for slot in open_floor.intersection(graph.slots) if part.intersection(model[slot])}
         if behind and gates:
             yield (
@@ -57,18 +57,18 @@ def cut_off(graph: Graph) -> Iterator[str]:
     lanes.add_nodes_from(graph.edges)
     for e, (_, v) in numbered(graph.ends):
         lanes.add_edges_from((e, f) for f in graph.out_edges(v) if graph.leads_on(e, f))
-    places = _places(graph)
+    stops = places(graph)
 
     def ends(edges: Iterable[EdgeIndex]) -> set[Vertex]:
         return {graph.ends[e][1] for e in edges}
 
     core: set[EdgeIndex] = max(
-        nx.strongly_connected_components(lanes), key=lambda part: (len(ends(part) & places), len(part)), default=set()
+        nx.strongly_connected_components(lanes), key=lambda part: (len(ends(part) & stops), len(part)), default=set()
     )
     some = next(iter(core), None)
     entered = set() if some is None else nx.descendants(lanes, some) | core
     complaints = []
-    unreached, stuck = sorted(places - ends(entered)), sorted((places & ends(entered)) - ends(core))
+    unreached, stuck = sorted(stops - ends(entered)), sorted((stops & ends(entered)) - ends(core))
     if unreached:
         complaints.append(f"no way to {_listed(graph, unreached)}")
     if stuck:
@@ -89,7 +89,8 @@ def unconnected_turns(graph: Graph) -> str:
     return named + (f" and {len(pairs) - _LISTED} more" if len(pairs) > _LISTED else "")
 
 
-def _places(graph: Graph) -> set[Vertex]:
+def places(graph: Graph) -> set[Vertex]:
+    """Where AGVs have something to do: slots, bays, homes and chargers."""
     return {v for role in ROLES if role != "refuge" for v in graph.roles[role]}
 
 
