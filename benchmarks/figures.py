@@ -14,11 +14,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 import fault_tables
 import garage_tables
 import planner_tables
+import thesis_tables
 from docs_tables import Row, RunSet, Table
 
 __all__ = ["SETS", "TABLES", "Row", "RunSet", "Table"]
 
-_GROUPS = (garage_tables, fault_tables, planner_tables)
+_GROUPS = (garage_tables, fault_tables, planner_tables, thesis_tables)
 
 #: In the order in which they are made.
 SETS: Mapping[str, RunSet] = {name: runs for group in _GROUPS for name, runs in group.SETS.items()}

@@ -271,3 +271,9 @@ def test_an_output_folder_that_cannot_be_made_is_one_line(tmp_path: Path, capsys
 
 def test_path_length_takes_points_or_arrays() -> None:
     assert path_length([(0, 0), (3, 4), (3, 5)]) == path_length(np.array([(0, 0), (3, 4), (3, 5)])) == 6.0
+
+
+def test_four_of_the_layouts_have_fewer_than_two_way_points_and_two_of_them_none() -> None:
+    rng = np.random.default_rng(1)
+    kept = {name: len(grid.reachable_way_points(s.floor, START, GOAL, rng)[0]) for name, s in SCENES.items()}
+    assert {name: n for name, n in kept.items() if n < 2} == {"C1.5": 1, "C1.6": 0, "C5.1": 1, "C5.3": 0}

@@ -19,8 +19,8 @@ def test_quick(tmp_path, capsys):
     assert ended.value.code == 0
     with (tmp_path / "lg.csv").open(encoding="utf-8") as file:
         rows = {row["figure"]: row for row in csv.DictReader(file)}
-    assert rows["runs in deadlock, with replanning"]["claim holds"] == "yes"
-    assert rows["runs in deadlock, without replanning"]["paper"] == "3 of 3"
+    assert rows["no run in deadlock, with replanning"]["claim holds"] == "too few to tell: run --full"
+    assert rows["most runs in deadlock, without replanning"]["paper"] == "3 of 3"
     assert rows["all robots: arrivals of 2, with replanning"]["ours"] == "2.0"
     assert "| claim holds |" in capsys.readouterr().out
     assert (tmp_path / "lg.svg").stat().st_size > 10_000

@@ -44,7 +44,8 @@ def test_two_stage_ga_quick(tmp_path):
     assert call("reproduce", "two-stage-ga", "--out", str(tmp_path)) == 0
     rows = rows_of(tmp_path / "two-stage-ga.csv")
     assert rows["20 robots: collisions, single"]["paper"] == "1.37"
-    assert sum("Wilcoxon p" in what for what in rows) == 4 + 4 + 4 + 3 + 5
+    tests = [row["claim holds"] for what, row in rows.items() if "Wilcoxon p" in what]
+    assert tests == ["too few to tell: run --full"] * (4 + 4 + 4 + 3 + 5)
     assert (tmp_path / "two-stage-ga.svg").stat().st_size > 10_000
     with (tmp_path / "two-stage-ga-runs.csv").open(encoding="utf-8") as file:
         runs = list(csv.DictReader(file))

@@ -19,15 +19,15 @@ def _reproduce() -> None:
 
 
 @app.command("thesis")
-def thesis(full: Full = False, out: Out = None) -> None:
-    """A*, D* Lite and the pipeline on three maps, under the thesis's rules, equal rules and in SUMO (paper 002)."""
+def _thesis(full: Full = False, out: Out = None) -> None:
+    """A*, D* Lite, the pipeline and our planners on three maps, under three sets of rules (paper 002)."""
     from parking_sim.reproduce.thesis import reproduce
 
     reproduce(out or Path("runs/reproduce/thesis"), full)
 
 
 @app.command("rrt-grid")
-def rrt_grid(full: Full = False, out: Out = None) -> None:
+def _rrt_grid(full: Full = False, out: Out = None) -> None:
     """RRT-GRID against RRT and RRT* on thirty layouts in five categories (paper 001)."""
     from parking_sim.reproduce.rrt_grid import reproduce
 
@@ -35,7 +35,7 @@ def rrt_grid(full: Full = False, out: Out = None) -> None:
 
 
 @app.command("binary-tree")
-def binary_tree(full: Full = False, out: Out = None) -> None:
+def _binary_tree(full: Full = False, out: Out = None) -> None:
     """Binary-tree routing against exact shortest routes on five floors (paper 003)."""
     from parking_sim.reproduce.binary_tree import reproduce
 
@@ -43,7 +43,7 @@ def binary_tree(full: Full = False, out: Out = None) -> None:
 
 
 @app.command("two-stage-ga")
-def two_stage_ga(
+def _two_stage_ga(
     full: Full = False,
     instances: Annotated[int | None, typer.Option(help="Only the first so many instances of each kind.", min=2)] = None,
     out: Out = None,
@@ -55,7 +55,7 @@ def two_stage_ga(
 
 
 @app.command("lg")
-def lg(full: Full = False, out: Out = None) -> None:
+def _lg(full: Full = False, out: Out = None) -> None:
     """Online MAPF with and without replanning: ten robots on a one-line grid (paper 000)."""
     from parking_sim.reproduce.lg import reproduce
 

@@ -15,10 +15,10 @@ import pandas as pd
 
 from analysis.measures import interval
 from parking_sim.executors import open_executor
-from parking_sim.reproduce.findings import Finding, findings_table, make_folder, write_findings
+from parking_sim.reproduce.findings import Finding, Verdict, findings_table, make_folder, settled, write_findings
 from parking_sim.reproduce.one_line_robots import Setting, drive
 from parking_sim.reproduce.published import published
-from parking_sim.reproduce.statistics import wilson
+from parking_sim.reproduce.statistics import is_less, is_most, wilson
 
 REPEATS = 3
 #: Round trips and seeds of each form.
@@ -53,9 +53,9 @@ def reproduce(folder: Path, full: bool) -> None:
     runs = run_experiment(setting, seeds, NOISE_SEEDS if full else 0)
     findings = [*compare(runs, setting)]
     runs.to_csv(folder / "lg-runs.csv", index=False, float_format="%.6g")
-    write_findings(findings, folder, "lg")
+    write_findings(findings, folder, "lg", full)
     draw(runs, setting, folder / "lg.svg")
-    print(findings_table(findings), end="")
+    print(findings_table(findings, full), end="")
     print(f"table and figure: {folder}")
 
 
@@ -105,8 +105,12 @@ def compare(runs: pd.DataFrame, setting: Setting) -> Iterator[Finding]:
         yield _mean(what, f"{mean:.1f} of 20", arrivals.mean(axis=1).tolist())
     without, with_ = (_rows(runs, form, setting)["deadlock"].tolist() for form in (WITHOUT, WITH))
     locked = f"{paper['deadlocks_without']} of {REPEATS}"
-    yield _share("runs in deadlock, without replanning", locked, without, sum(without) > len(without) / 2)
-    yield _share("runs in deadlock, with replanning", f"{paper['deadlocks_with']} of {REPEATS}", with_, not any(with_))
+    free = f"{paper['deadlocks_with']} of {REPEATS}"
+    yield _share("most runs in deadlock, without replanning", locked, without, is_most(sum(without), len(without)))
+    yield _share("no run in deadlock, with replanning", free, with_, _never(with_))
+    less = is_less([float(d) for d in with_], [float(d) for d in without])
+    ours = f"{sum(with_)} and {sum(without)} of {len(without)}"
+    yield Finding("fewer runs in deadlock with replanning, by seed", f"{free} and {locked}", ours, "", less)
     for noise in NOISES:
         rows = _rows(runs, WITHOUT, replace(setting, noise=noise))
         if len(rows):
@@ -114,6 +118,12 @@ def compare(runs: pd.DataFrame, setting: Setting) -> Iterator[Finding]:
     rows = _rows(runs, WITH, setting)
     yield _mean("with replanning: calls for a predicted collision, a run", "", rows["predicted"].tolist())
     yield _mean("with replanning: minutes until all are done", "", (rows["ended_s"] / 60).tolist())
+
+
+def _never(deadlocks: Sequence[bool]) -> Verdict:
+    """Whether there are no deadlocks at all: runs so few that half of all may lock up can't tell."""
+    few = is_most(0, len(deadlocks)) is Verdict.TOO_FEW
+    return Verdict.TOO_FEW if few else settled(not any(deadlocks))
 
 
 def _rows(runs: pd.DataFrame, form: str, setting: Setting) -> pd.DataFrame:
@@ -130,7 +140,7 @@ def _mean(what: str, paper: str, values: Sequence[float]) -> Finding:
     return Finding(what, paper, f"{ours.mean:.1f}", f"{ours.low:.1f} to {ours.high:.1f}")
 
 
-def _share(what: str, paper: str, deadlocks: Sequence[bool], holds: bool | None = None) -> Finding:
+def _share(what: str, paper: str, deadlocks: Sequence[bool], holds: Verdict = Verdict.NO_CLAIM) -> Finding:
     low, high = wilson(sum(deadlocks), len(deadlocks))
     words = f"{100 * low:.0f} to {100 * high:.0f} %"
     return Finding(what, paper, f"{sum(deadlocks)} of {len(deadlocks)}", words, holds)

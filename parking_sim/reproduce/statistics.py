@@ -1,4 +1,8 @@
-"""Statistics that several reproductions need."""
+"""Statistics that several reproductions need, and what samples say about claims by them.
+
+A claim is shown, or its contrary is, at the level of 5 % to that side. A sample that reaches the level to neither side
+tells nothing: four pairs never do, since the least p value that they can have is 1/16.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+
+from analysis.measures import Interval
+from parking_sim.reproduce.findings import Verdict, verdict
+
+#: Probability of finding a difference to one side where there is none.
+LEVEL = 0.05
 
 
 def wilson(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
@@ -47,3 +57,19 @@ def fewer(a: Sequence[float], b: Sequence[float]) -> float:
         chance /= 2
     plus = sum(rank for rank, d in zip(twice_rank, differences, strict=True) if d > 0)
     return float(chance[: plus + 1].sum())
+
+
+def is_less(a: Sequence[float], b: Sequence[float]) -> Verdict:
+    """Whether ``a`` is less than ``b``, by the signed-rank test on pairs to either side."""
+    return verdict(fewer(a, b) < LEVEL, fewer(b, a) < LEVEL)
+
+
+def is_below(value: Interval, limit: float) -> Verdict:
+    """Whether a mean is below a limit, by its interval; a single value has none."""
+    return verdict(value.high < limit, value.low > limit)
+
+
+def is_most(cases: int, trials: int) -> Verdict:
+    """Whether something happens in more than half of all cases, by Wilson's interval for its share."""
+    low, high = wilson(cases, trials)
+    return verdict(low > 0.5, high < 0.5)
