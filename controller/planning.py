@@ -21,6 +21,7 @@ from controller.rules import Rules
 from controller.types import (
     FOREVER,
     NO_AGV,
+    TRAIL,
     AgvMode,
     AgvNumber,
     Counters,
@@ -35,9 +36,6 @@ from controller.visits import retime
 from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex, numbered
 
 Mask = NDArray[np.uint8]
-
-#: Added to an AGV's number for the places it still holds on its way to the end of its authority.
-TRAIL = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)

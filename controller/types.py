@@ -32,6 +32,9 @@ NO_REQUEST: Final = RequestNumber(-1)
 #: "For ever": later than any step of a run, small enough to add durations to without overflow of int32.
 FOREVER = 1 << 29
 
+#: Added to an AGV's number for the places it still holds on its way to the end of its authority.
+TRAIL: Final = 1 << 20
+
 #: Steps of a turn that no AGV makes: so dear that no way with one in it is ever the best.
 NEVER = 1 << 20
 

@@ -76,21 +76,40 @@ class DStarLite:
         Returns:
             The first edge of a shortest path (``STAY`` if there is none) and the path's steps (``FOREVER``).
         """
-        lanes, loaded = self._space.lanes, int(agent.loaded)
-        steps, rate = lanes.edge_steps[loaded], float(self._space.rates[loaded, 0])
-        memory = self._memory.setdefault(agent.agv, _new_memory(len(blocked)))
-        if (memory.meta[GOAL], memory.meta[LOADED]) != (agent.goal, loaded):
-            _initialize(agent.vertex, agent.goal, loaded, blocked, rate, lanes, memory, self.counters)
         base = blocked.copy()
         base[agent.goal] = 0
         wanted = base.copy()
         wanted[announced] = 1
-        _change(agent.vertex, wanted, steps, rate, lanes, memory, self.counters)
-        _compute_shortest_path(agent.vertex, steps, rate, lanes, memory, self.counters)
+        memory = self.repair(agent, wanted)
+        lanes, steps, rate = self._edges(agent)
         cost = int(memory.rhs[agent.vertex])
         edge = best_edge(agent.vertex, agent.in_edge, agent.goal, memory.g, memory.closed, steps, self._ranked, lanes)
         _change(agent.vertex, base, steps, rate, lanes, memory, self.counters)
         return EdgeIndex(int(edge)), cost
+
+    def repair(self, agent: PlanAgent, closed: NDArray[np.uint8]) -> Memory:
+        """Bring an AGV's search up to date, or begin it anew for a new goal.
+
+        Args:
+            agent: the agent, not at its goal.
+            closed: shape (n,), 1 where nobody may drive.
+
+        Returns:
+            The search; g is exact along the shortest paths from where the agent stands.
+        """
+        lanes, steps, rate = self._edges(agent)
+        loaded = int(agent.loaded)
+        memory = self._memory.setdefault(agent.agv, _new_memory(len(closed)))
+        if (memory.meta[GOAL], memory.meta[LOADED]) != (agent.goal, loaded):
+            _initialize(agent.vertex, agent.goal, loaded, closed, rate, lanes, memory, self.counters)
+        _change(agent.vertex, closed, steps, rate, lanes, memory, self.counters)
+        _compute_shortest_path(agent.vertex, steps, rate, lanes, memory, self.counters)
+        return memory
+
+    def _edges(self, agent: PlanAgent) -> tuple[Lanes, IntArray, float]:
+        """The lanes, the steps over each edge, and least steps per metre."""
+        loaded = int(agent.loaded)
+        return self._space.lanes, self._space.lanes.edge_steps[loaded], float(self._space.rates[loaded, 0])
 
 
 def _new_memory(n: int) -> Memory:

@@ -14,7 +14,7 @@ while they drive (``Motion.following`` False) the places that are being left are
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -81,22 +81,25 @@ class OneStep:
                 taken += [v for agv, v in current.items() if agv != agent.agv]
             edge = STAY
             if agent.vertex != agent.goal and not (following and agent.ready_step > 0):
-                blocked = self._without_slots(problem) if agent.avoids_slots else problem.blocked
+                blocked = blocked_for(problem, agent)
                 edge = self.search.next_edge(agent, blocked, {*taken, *passed})
-            path = _path(problem, agent, edge)
+            path = one_move_path(problem, agent, edge)
             paths[agent.agv] = path
             if not following or path.arrive[-1] == 1:  # whoever turns first is an obstacle where it stands
                 next_[agent.agv] = path.vertices[-1]
         return PlanResult(Status.SOLVED, paths, counters=Counters(*self.search.counters.tolist()))
 
-    @staticmethod
-    def _without_slots(problem: PlanningProblem) -> NDArray[np.uint8]:
-        blocked = problem.blocked.copy()
-        blocked[list(problem.graph.slots)] = 1
-        return blocked
+
+def blocked_for(problem: PlanningProblem, agent: PlanAgent) -> NDArray[np.uint8]:
+    """Where an agent may not drive, shape (n,): slots, too, for those that avoid them."""
+    if not agent.avoids_slots:
+        return problem.blocked
+    blocked = problem.blocked.copy()
+    blocked[list(problem.graph.slots)] = 1
+    return blocked
 
 
-def _path(problem: PlanningProblem, agent: PlanAgent, edge: EdgeIndex) -> Path:
+def one_move_path(problem: PlanningProblem, agent: PlanAgent, edge: EdgeIndex) -> Path:
     """One move, or none, and no claim to its end: others may plan to go there later."""
     graph, motion = problem.graph, problem.motion
     vertices: tuple[Vertex, ...] = (agent.vertex,)
@@ -111,12 +114,16 @@ def _path(problem: PlanningProblem, agent: PlanAgent, edge: EdgeIndex) -> Path:
     return Path(agent.agv, vertices, arrive, depart, arrive[-1])
 
 
-def ranked_edges(space: Space) -> IntArray:
-    """The edges that leave each vertex in the thesis's order: down, up, right, left on the map; shape (m,).
+#: The thesis's order of neighbours, by heading in degrees.
+DOWN_UP_RIGHT_LEFT = (270, 90, 0, 180)
+
+
+def ranked_edges(space: Space, headings: Sequence[int] = DOWN_UP_RIGHT_LEFT) -> IntArray:
+    """The edges that leave each vertex in an order of headings, those of no such heading last; shape (m,).
 
     Those of vertex ``v`` stand at ``first_out[v]`` to ``first_out[v + 1]``, as in ``Lanes``.
     """
-    rank = {270: 0, 90: 1, 0: 2, 180: 3}
+    rank = {heading: k for k, heading in enumerate(headings)}
     heading = np.rint(space.graph.heading_deg).astype(int) % 360
     order = sorted(range(len(heading)), key=lambda e: (space.lanes.tail[e], rank.get(int(heading[e]), 4), e))
     return np.array(order, dtype=np.int32)

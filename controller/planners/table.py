@@ -30,6 +30,7 @@ PLANNERS: dict[str, tuple[str, str, str]] = {
     "cbs": ("controller.planners.cbs", "make_cbs", "CbsOptions"),
     "astar": ("controller.planners.astar", "make_astar", ""),
     "dstar_lite": ("controller.planners.dstar_lite", "make_dstar_lite", ""),
+    "pipeline": ("controller.planners.pipeline", "make_pipeline", "PipelineOptions"),
     "binary_tree": ("controller.planners.binary_tree", "make_binary_tree", "BinaryTreeOptions"),
     "ga_single": ("controller.planners.genetic", "make_ga_single", "GeneticOptions"),
     "ga_two_stage": ("controller.planners.genetic", "make_ga_two_stage", "GeneticOptions"),

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.random import Generator
 
 from controller.planners.online_mapf import OnlineMapfOptions, current_goals, make_online_mapf
-from controller.planning import TRAIL
-from controller.types import FOREVER, AgvNumber, Motion, Path, PlanAgent, PlanningProblem, make_motion
+from controller.types import FOREVER, TRAIL, AgvNumber, Motion, Path, PlanAgent, PlanningProblem, make_motion
 from demand.types import stream
 from sumo_nets.graph import Graph, make_graph
 from sumo_nets.numbering import NO_EDGE, NO_VERTEX, EdgeIndex, Numbered, Vertex
