@@ -100,7 +100,7 @@ def select_runs(choice: str) -> Runs:
         runs = load_runs(Path(folder))
     except (FileNotFoundError, NotADirectoryError) as error:
         raise InputError(f"{choice}: {error}") from None
-    frame = runs.runs.df()
+    frame = runs.runs
     names = list(dict.fromkeys(frame["variant"]))
     if wanted in names:
         return runs.only(frame["run"][frame["variant"] == wanted].tolist())

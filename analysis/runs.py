@@ -1,10 +1,11 @@
 """Many runs as three tidy tables: one row per run, per task, per event.
 
-The tables are DuckDB relations: nothing but the small files of each run is read before a table is looked at, and a
-filter or an aggregate reads only the columns it needs, over thousands of runs::
+Nothing but the small files of each run is read before a table is looked at. Tables come as pandas tables; over
+thousands of runs a DuckDB relation reads only the columns and rows that a question needs::
 
-    found = load_runs(Path("runs/sweep"))
-    found.runs.df()                                          # pandas
+    found = load_runs("runs/sweep")
+    found.runs                                               # pandas
+    found.relation("events").filter("kind = 'deadlock_found'").df()
     found.sql("SELECT agvs, avg(delivered_s - requested_s) FROM tasks JOIN runs USING (run) GROUP BY agvs").df()
 """
 
@@ -38,7 +39,11 @@ _RUN_COLUMNS: Mapping[str, tuple[str, str]] = {
 }
 
 
-@dataclass(frozen=True)
+#: Variants that are named when runs are shown.
+_SHOWN = 3
+
+
+@dataclass(frozen=True, repr=False)
 class Runs:
     """The records of many runs.
 
@@ -46,6 +51,17 @@ class Runs:
         folders: each run's name in the tables -> the folder with its record.
         planned: each run's variant as its sweep has it; None if the runs are not those of a sweep.
         failures: the runs of a sweep that failed: ``run``, ``variant``, ``seed`` and ``error`` of each.
+
+    Example:
+        >>> import tempfile
+        >>> import parking_sim as ps
+        >>> scenario = ps.load_scenario("map1", {"plant": "discrete", "duration_s": 5.0})
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     _ = ps.simulate(scenario, f"{folder}/run")
+        ...     runs: ps.Runs = ps.load_runs(folder)
+        ...     runs.sql("SELECT kind, count(*) AS n FROM tasks GROUP BY kind").df()
+           kind   n
+        0  park  61
     """
 
     folders: Mapping[str, Path]
@@ -66,29 +82,47 @@ class Runs:
         """Some of the runs, with their variants."""
         return Runs({run: self.folders[run] for run in runs}, {run: self.variants[run] for run in runs}, self.failures)
 
-    @property
-    def runs(self) -> duckdb.DuckDBPyRelation:
+    def __repr__(self) -> str:
+        """How many runs of which variants there are, and how many failed."""
+        names = list(dict.fromkeys(variant.name for variant in self.variants.values()))
+        shown = ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
+        failed = f", {len(self.failures)} failed" if self.failures else ""
+        return f"<Runs: {len(self.folders)} of {len(names)} variants ({shown}){failed}>"
+
+    @cached_property
+    def runs(self) -> pd.DataFrame:
         """One row per run: the scenario's keys, joined by dots, and the metrics. See :func:`run_columns`."""
         return self.table("runs")
 
-    @property
-    def tasks(self) -> duckdb.DuckDBPyRelation:
+    @cached_property
+    def tasks(self) -> pd.DataFrame:
         """One row per request: ``run``, and the columns of ``parking_sim.record.COLUMNS["tasks"]``."""
         return self.table("tasks")
 
-    @property
-    def events(self) -> duckdb.DuckDBPyRelation:
+    @cached_property
+    def events(self) -> pd.DataFrame:
         """One row per event: ``run``, and the columns of ``parking_sim.record.COLUMNS["events"]``."""
         return self.table("events")
 
-    def table(self, name: str) -> duckdb.DuckDBPyRelation:
+    def table(self, name: str) -> pd.DataFrame:
         """A table over all runs.
 
         Args:
             name: ``runs``, or a table of ``parking_sim.record.COLUMNS``.
 
         Returns:
-            The relation, rows in the order of the runs and of each record; ``.df()`` makes it a pandas table.
+            Rows in the order of the runs and of each record.
+        """
+        return self.relation(name).df()
+
+    def relation(self, name: str) -> duckdb.DuckDBPyRelation:
+        """A table over all runs that is not read before it is asked for.
+
+        Args:
+            name: as for :meth:`table`.
+
+        Returns:
+            The DuckDB relation, to filter and to sum up; ``.df()`` makes it a pandas table.
         """
         return self._database.table("runs") if name == "runs" else self._database.view(name)
 
@@ -135,7 +169,7 @@ class Runs:
         return database
 
 
-def load_runs(folder: Path) -> Runs:
+def load_runs(folder: Path | str) -> Runs:
     """Open all runs in a folder.
 
     Args:
@@ -147,7 +181,21 @@ def load_runs(folder: Path) -> Runs:
 
     Raises:
         FileNotFoundError: if there is no run.
+
+    Example:
+        >>> import tempfile
+        >>> import parking_sim as ps
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     for agvs in (2, 4):
+        ...         scenario = ps.load_scenario("map1", {"plant": "discrete", "agvs": agvs, "duration_s": 5.0})
+        ...         _ = ps.simulate(scenario, f"{folder}/{agvs}")
+        ...     runs = ps.load_runs(folder)
+        ...     print(runs.runs[["variant", "status", "tasks_wanted"]])
+          variant      status  tasks_wanted
+        0  agvs=2  time_limit         122.0
+        1  agvs=4  time_limit         122.0
     """
+    folder = Path(folder)
     plan = folder / "sweep.json"
     if not plan.is_file():
         folders = {path.parent.relative_to(folder).as_posix(): path.parent for path in sorted(folder.rglob("run.json"))}

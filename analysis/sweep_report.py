@@ -67,7 +67,7 @@ def write_sweep_report(folder: Path, answers: Sequence[str] = (), answer_drawing
         OSError: the folder can't be written.
     """
     runs = load_runs(folder)
-    frame = runs.runs.df()
+    frame = runs.runs
     variants = sweep_variants(runs)
     meta = load_run(next(iter(runs.folders.values()))).meta
     plan = folder / "sweep.json"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["COLUMNS", "Run", "load_run", "recorded_run"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
     """One run: what was asked (``meta``) and its tables, each read when first looked at.
 
@@ -29,12 +30,27 @@ class Run:
         meta: content of ``run.json``, keys as in ``parking_sim.record.META``.
         read: gives a table by name.
         folder: where the record is, None if it has not been written.
+
+    Example:
+        >>> import tempfile
+        >>> import parking_sim as ps
+        >>> scenario = ps.load_scenario("map1", {"plant": "discrete", "duration_s": 5.0})
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     _ = ps.simulate(scenario, f"{folder}/run")
+        ...     run: ps.Run = ps.load_run(f"{folder}/run")
+        ...     run.trajectory["agv"].nunique(), run.meta["seed"]
+        (4, 0)
     """
 
     name: str
     meta: Mapping[str, Any]
-    read: Callable[[str], pd.DataFrame] = field(repr=False, compare=False)
+    read: Callable[[str], pd.DataFrame] = field(compare=False)
     folder: Path | None = None
+
+    def __repr__(self) -> str:
+        """The run's name, garage, status and simulated seconds."""
+        ended = f"{self.meta.get('status')} after {self.meta.get('simulated_s', math.nan):g} s"
+        return f"<Run {self.name}: {self.meta.get('map', 'unknown garage')}, {ended}>"
 
     @cached_property
     def variant(self) -> str:
@@ -111,7 +127,7 @@ class Run:
         return pd.concat([chosen.drop(columns="detail"), pd.DataFrame(parsed, index=chosen.index)], axis=1)
 
 
-def load_run(folder: Path) -> Run:
+def load_run(folder: Path | str) -> Run:
     """Open the record of one run.
 
     Args:
@@ -123,7 +139,18 @@ def load_run(folder: Path) -> Run:
 
     Raises:
         FileNotFoundError: if there is no record in the folder.
+
+    Example:
+        >>> import tempfile
+        >>> import parking_sim as ps
+        >>> scenario = ps.load_scenario("map1", {"plant": "discrete", "duration_s": 60.0})
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     _ = ps.simulate(scenario, f"{folder}/first")
+        ...     run = ps.load_run(f"{folder}/first")
+        ...     len(run.tasks), run
+        (61, <Run first: map1, time_limit after 60 s>)
     """
+    folder = Path(folder)
     path = folder / "run.json"
     if not path.is_file() and (folder / JOURNAL).is_file():
         recorder, time_s = read_journal(folder)

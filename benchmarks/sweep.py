@@ -22,7 +22,7 @@ import yaml
 from analysis.runs import load_runs
 from controller.planners.table import PLANNERS
 from parking_sim.executors import open_executor
-from parking_sim.sweep import do_run, sweep
+from parking_sim.many_runs import do_run, sweep
 from parking_sim.sweep_plan import RunSpec, load_sweep
 
 
@@ -83,7 +83,7 @@ def timed(specs: tuple[RunSpec, ...], folder: Path, workers: int, dask: bool) ->
         seconds = perf_counter() - begin
     for failure in failures:
         print(f"failed: {failure.spec.variant.name} seed={failure.spec.scenario.seed}: {failure.error}")
-    frame = load_runs(folder).runs.df()
+    frame = load_runs(folder).runs
     return seconds, frame[[column for column in frame if not column.startswith("wall_")]]
 
 

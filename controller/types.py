@@ -203,6 +203,13 @@ class Path:
         arrive: step of arrival at each vertex, ``arrive[0]`` is 0.
         depart: step of departure from each vertex but the last.
         until: end of the last vertex's occupation: the window's end, or ``FOREVER`` when it may rest there.
+
+    Example:
+        AGV 3 leaves vertex 10 at once, and is at vertex 11 from step 4 on:
+
+        >>> path = Path(AgvNumber(3), (Vertex(10), Vertex(11)), arrive=(0, 4), depart=(0,))
+        >>> path.vertices[-1], path.arrive[-1]
+        (11, 4)
     """
 
     agv: AgvNumber
@@ -227,6 +234,12 @@ class PlanAgent:
         priority: higher goes first.
         turned_to: vertex it has turned towards already, -1 when it has not.
         avoids_slots: it may not pass through slots, but for its start and goal; heeded by the thesis's planners only.
+
+    Example:
+        >>> from controller.planners.contract import random_problem
+        >>> agent = random_problem(17).agents[0]
+        >>> isinstance(agent, PlanAgent), agent.ready_step >= 0
+        (True, True)
     """
 
     agv: AgvNumber
@@ -255,6 +268,16 @@ class PlanningProblem:
         window_steps: planning horizon in steps, ``FOREVER`` for complete paths.
         seed: for planners that draw random numbers.
         carrying: agents whose path in ``fixed`` ends at their goal; a planner of complete paths may give them another.
+
+    Example:
+        A planner by which everybody keeps its place, asked a random problem:
+
+        >>> from controller.planners.contract import random_problem
+        >>> def stay(problem: PlanningProblem) -> PlanResult:
+        ...     return PlanResult(Status.PARTIAL, {}, {agent.agv: NO_AGV for agent in problem.agents})
+        >>> problem = random_problem(17)
+        >>> len(stay(problem).failed) == len(problem.agents)
+        True
     """
 
     graph: Graph
@@ -269,7 +292,12 @@ class PlanningProblem:
 
 
 class Status(StrEnum):
-    """How a planning call ended. "No solution" is a status, not an exception."""
+    """How a planning call ended. "No solution" is a status, not an exception.
+
+    Example:
+        >>> Status("partial") is Status.PARTIAL
+        True
+    """
 
     SOLVED = "solved"
     PARTIAL = "partial"
@@ -316,6 +344,11 @@ class PlanResult:
         counters: search work of this call.
         waits: wait-for edges the planner met while planning, as (AGV that waits, AGV it waits for), one for each
             conflict; empty under planners that keep no wait-for graph of their own.
+
+    Example:
+        >>> keeps_place = PlanResult(Status.PARTIAL, {}, failed={AgvNumber(0): NO_AGV})
+        >>> keeps_place.failed[AgvNumber(0)]
+        -1
     """
 
     status: Status

@@ -21,6 +21,7 @@ from parking_sim import gate_logs, planner_check, routes, studies
 from parking_sim.errors import InputError, RunFailedError
 from parking_sim.folders import check_folder
 from parking_sim.reproduce import app as reproduce_app
+from parking_sim.shadowing import require_own_packages
 from sumo_nets.wording import one_of
 
 if TYPE_CHECKING:
@@ -50,6 +51,23 @@ app.command()(routes.route)
 app.command()(routes.turns)
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        import parking_sim
+
+        print(f"parking-sim {parking_sim.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def program(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Robotic parking garages in SUMO: AGVs park cars and bring them back."""
+
+
 class TraceMethod(StrEnum):
     """What traces guide paths."""
 
@@ -76,6 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     usage_error = cast(type[Exception], typer.BadParameter.__bases__[0])
     try:
+        if "doctor" not in words:  # which tells of hidden packages among all else
+            require_own_packages()
         code = app(words, prog_name=app.info.name, standalone_mode=False) or 0
     except usage_error as error:
         _complain(_usage(error))
@@ -83,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (KeyboardInterrupt, typer.Abort):
         print("interrupted", file=sys.stderr)
         code = INTERRUPTED
-    except _input_errors() as error:
+    except InputError as error:
         _complain(str(error))
         code = BAD_INPUT
     except RunFailedError as error:
@@ -408,16 +428,6 @@ def _usage(error: Exception) -> str:
 
 def _complain(message: str) -> None:
     print("error:", " ".join(message.split()), file=sys.stderr)
-
-
-def _input_errors() -> tuple[type[Exception], ...]:
-    """Every package's exceptions for input; imported only when one was raised."""
-    from controller.planners.table import PlannerError
-    from sumo_nets.build import NetconvertError
-    from sumo_nets.errors import NetError
-    from sumo_nets.layout import LayoutError
-
-    return (InputError, PlannerError, LayoutError, NetError, NetconvertError)
 
 
 @contextmanager

@@ -37,6 +37,13 @@ NET_SUFFIXES = (".net.xml", ".net.xml.gz")
 class _Options(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
+    def __repr_args__(self) -> Iterator[tuple[str | None, object]]:
+        """What differs from the defaults."""
+        fields = type(self).model_fields
+        for name, value in super().__repr_args__():
+            if name not in fields or value != fields[name].get_default(call_default_factory=True):
+                yield name, value
+
 
 class ControlConfig(_Options):
     """The controller's clock, window and limits. Defaults are the thesis's where it gives a value.
@@ -168,7 +175,14 @@ class RecordConfig(_Options):
 
 
 class Scenario(_Options):
-    """One run: a garage, its AGVs, the controller and the customers."""
+    """One run: a garage, its AGVs, the controller and the customers.
+
+    Example:
+        >>> import parking_sim as ps
+        >>> scenario = ps.Scenario(garage="map1", agvs=4)
+        >>> scenario.model_copy(update={"agvs": 6})
+        Scenario(garage='map1', agvs=6)
+    """
 
     garage: str = Field(
         min_length=1,
@@ -248,6 +262,11 @@ def load_scenario(source: str | Path, overrides: Mapping[str, object] | None = N
 
     Raises:
         InputError: no such file or garage, bad YAML, or a value that isn't valid.
+
+    Example:
+        >>> import parking_sim as ps
+        >>> ps.load_scenario("map1", {"agvs": 6, "seed": 7})
+        Scenario(garage='map1', agvs=6, seed=7)
     """
     data, base_dir = scenario_keys(source)
     return _validate(data, overrides or {}, str(source), base_dir)

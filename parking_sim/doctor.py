@@ -10,8 +10,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from parking_sim.shadowing import hidden_packages
+
 #: Distributions whose versions are worth knowing in a question about a run.
 _PACKAGES = ("libsumo", "numpy", "numba", "networkx", "pandas", "duckdb", "pydantic", "matplotlib", "typer", "rich")
+
+#: Extra of this package -> a distribution of it, and what it adds.
+EXTRAS = {
+    "nets": ("eclipse-sumo", "netconvert to build nets, and sumo-gui to watch runs"),
+    "cluster": ("distributed", "sweeps on a dask cluster: sweep --scheduler"),
+    "tune": ("optuna", "tuning of parameters: tune"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +50,12 @@ def examine() -> list[Finding]:
     versions += [_probe(name, lambda name=name: importlib.metadata.version(name)) for name in _PACKAGES]  # type: ignore[misc]
     return [
         *versions,
+        *_own_packages(),
         _probe("SUMO", _sumo_version),
         _probe("shipped garages", _garages),
         _probe("cache of compiled searches", _numba_cache, needed=False),
         _probe("netconvert (to build nets)", _netconvert, needed=False),
+        *(_extra(extra, package, adds) for extra, (package, adds) in EXTRAS.items()),
     ]
 
 
@@ -53,6 +64,22 @@ def _probe(what: str, look: Callable[[], str], needed: bool = True) -> Finding:
         return Finding(what, True, look(), needed)
     except Exception as error:
         return Finding(what, False, " ".join(f"{type(error).__name__}: {error}".split()), needed)
+
+
+def _own_packages() -> list[Finding]:
+    """The files that hide packages of this program, or that there are none."""
+    hidden = hidden_packages()
+    if not hidden:
+        return [Finding("own packages", True, "none is hidden by a file of the same name")]
+    return [Finding(f"package {name}", False, complaint) for name, complaint in hidden.items()]
+
+
+def _extra(extra: str, package: str, adds: str) -> Finding:
+    """Whether an extra is installed, and what it adds."""
+    try:
+        return Finding(f"extra {extra}", True, f"{adds} ({package} {importlib.metadata.version(package)})", False)
+    except importlib.metadata.PackageNotFoundError:
+        return Finding(f"extra {extra}", False, f"pip install 'parking-sim[{extra}]' adds {adds}", False)
 
 
 def _sumo_version() -> str:

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from sumo_nets.errors import InputError
 
-class InputError(ValueError):
-    """Input that can't be used. The message is one line: file, field, value, what would be valid."""
+__all__ = ["InputError", "RunFailedError"]
 
 
 class RunFailedError(RuntimeError):
-    """A run that ended without a record, with the reason in one line."""
+    """A run that ended without a record, with the reason in one line.
+
+    Example:
+        >>> import tempfile
+        >>> import parking_sim as ps
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     try:
+        ...         ps.sweep([], folder)
+        ...     except ps.RunFailedError:
+        ...         print("nothing was run")
+        nothing was run
+    """

@@ -12,8 +12,8 @@ from rich import progress as rich_progress
 from rich.console import Console
 
 if TYPE_CHECKING:
+    from parking_sim.many_runs import SweepProgress
     from parking_sim.simulation import Progress
-    from parking_sim.sweep import SweepProgress
 
 #: Seconds between two lines when there is no terminal for a bar.
 _LINE_S = 30.0

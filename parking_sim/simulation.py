@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from parking_sim.journal import FLUSH_S, Journal
 from parking_sim.plants import CarAtBay
 from parking_sim.plants.faulty import FaultyPlant
 from parking_sim.record import AgvRow, Recorder, TaskRow
+from parking_sim.shadowing import require_own_packages
 from parking_sim.versions import code_version, versions
 from sumo_nets.numbering import NO_VERTEX, Numbered, NumberedList, Vertex, numbered
 from sumo_nets.under_cars import cramped_slots
@@ -44,7 +46,15 @@ _ACTIVITY_OF = {Action.TURN: "turning", Action.LIFT: "lifting", Action.LOWER: "l
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a run is: simulated seconds, requests that ended (served or not) of how many, wall-clock seconds."""
+    """How far a run is: simulated seconds, requests that ended (served or not) of how many, wall-clock seconds.
+
+    Example:
+        >>> import parking_sim as ps
+        >>> def tell(now: ps.Progress) -> None:
+        ...     print(f"{now.time_s:.0f} s: {now.done} of {now.total}")
+        >>> tell(ps.Progress(120.0, 7, 122, 0.8))
+        120 s: 7 of 122
+    """
 
     time_s: float
     done: int
@@ -52,7 +62,7 @@ class Progress:
     wall_s: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Summary:
     """How a run ended.
 
@@ -62,6 +72,14 @@ class Summary:
         folder: where the record is, None if none was written.
         failed: checks that failed, one line each; see ``analysis.checks``.
         held: what holds the work that is still open, one sentence for each cause.
+
+    Example:
+        >>> import parking_sim as ps
+        >>> summary = ps.simulate(ps.load_scenario("map1", {"plant": "discrete", "duration_s": 60.0}))
+        >>> summary
+        <Summary: time_limit after 60 s, 4 of 122 tasks done, no check failed>
+        >>> summary.metrics["deadlocks_found"]
+        0
     """
 
     status: str
@@ -70,10 +88,17 @@ class Summary:
     failed: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        """The status, how far the work got, and how many checks failed."""
+        m, failed = self.metrics, len(self.failed)
+        done = f"{m['tasks_done']} of {m['tasks_wanted']} tasks done"
+        checks = f"{failed or 'no'} check{'s' * (failed > 1)} failed"
+        return f"<Summary: {self.status} after {m['simulated_s']:g} s, {done}, {checks}>"
+
 
 def simulate(
     scenario: Scenario,
-    out: Path | None,
+    out: Path | str | None = None,
     *,
     gui: bool = False,
     fcd: bool = False,
@@ -96,12 +121,44 @@ def simulate(
         How it ended. Ctrl-C ends the run early with the record so far.
 
     Raises:
-        InputError, NetError: the scenario does not fit its garage; nothing has been written then. Or a resumed run
-            differs from its journal.
+        InputError: the scenario does not fit its garage, or a file of yours hides a package of the program; nothing
+            has been written then. Or a resumed run differs from its journal.
         PlantError: SUMO failed.
+
+    Example:
+        >>> import parking_sim as ps
+        >>> scenario = ps.load_scenario("map1", {"plant": "discrete", "duration_s": 60.0})
+        >>> ps.simulate(scenario).status
+        'time_limit'
     """
+    run = prepare(scenario, None if out is None else Path(out), progress, resumed, shared)
+    with run.started(gui, fcd):
+        status = run.loop()
+    return run.finish(status)
+
+
+def prepare(
+    scenario: Scenario,
+    out: Path | None,
+    progress: Callable[[Progress], None] | None = None,
+    resumed: bool = False,
+    shared: Path | None = None,
+) -> RunLoop:
+    """Check a scenario against its garage, and write what its record begins with.
+
+    Args:
+        scenario, out, progress, resumed, shared: as for :func:`simulate`.
+
+    Returns:
+        The run, not yet started.
+
+    Raises:
+        InputError: as for :func:`simulate`.
+    """
+    require_own_packages()
+    _load_what_the_end_needs()
     world = assemble(scenario)
-    run = _Run(world, progress)
+    run = RunLoop(world, out, progress)
     if out is not None:
         run.inputs = read_inputs(scenario)
         if not resumed:
@@ -111,16 +168,21 @@ def simulate(
         net_file, additional_file = kept_net(scenario, out)
         run.world = replace(world, net=replace(world.net, net_file=net_file, additional_file=additional_file))
         run.journal = Journal(out, resumed)
-    with run.started(out, gui, fcd or scenario.record.fcd):
-        status = run.loop()
-    return run.finish(status, out)
+    return run
 
 
-class _Run:
-    """The state of one run."""
+def _load_what_the_end_needs() -> None:
+    """Import what the record and its metrics are made with, so that nothing is missing after hours of simulation."""
+    for name in ("pandas", "duckdb", "analysis.checks", "analysis.metrics", "analysis.tables", "analysis.witness"):
+        importlib.import_module(name)
 
-    def __init__(self, world: World, progress: Callable[[Progress], None] | None) -> None:
+
+class RunLoop:
+    """The state of one run: started, stepped to its end, finished."""
+
+    def __init__(self, world: World, out: Path | None, progress: Callable[[Progress], None] | None) -> None:
         self.world = world
+        self.out = out
         self.recorder = Recorder()
         self.recorder.floor(world.net.graph)
         self.recorder.shapes(world.net)
@@ -146,6 +208,9 @@ class _Run:
         self._plans: NumberedList[AgvNumber, tuple[int, tuple[Vertex, ...]]] = [no_plan] * len(self.acs.agvs)
         self._overlaps = self._turns = 0
         self._look_every = max(1, round(LOOK_S / self.step_s))
+        self._end_s = world.scenario.duration_s or world.scenario.max_time_s
+        self._sample_every = whole_steps(world.scenario.record.sample_s, self.step_s)
+        self._flush_every = whole_steps(FLUSH_S, self.step_s)
         self._log_grants = world.scenario.record.grants
         self._soc: NumberedList[AgvNumber, float] = [1.0] * len(self.acs.agvs)
         self._drawn: NumberedList[AgvNumber, float] = [0.0] * len(self.acs.agvs)
@@ -160,10 +225,10 @@ class _Run:
         return self.world.motion.seconds(self.step)
 
     @contextmanager
-    def started(self, outputs: Path | None, gui: bool, fcd: bool) -> Iterator[None]:
+    def started(self, gui: bool, fcd: bool) -> Iterator[None]:
         """The plant, closed at the end whatever happens."""
         self._start = perf_counter()
-        plant = self.world.plant(outputs, gui, fcd)
+        plant = self.world.plant(self.out, gui, fcd or self.world.scenario.record.fcd)
         self._plant_start_s = plant.time_s
         self.plant = self.world.with_faults(plant)
         self._faults = self.plant if isinstance(self.plant, FaultyPlant) else None
@@ -181,30 +246,32 @@ class _Run:
 
     def loop(self) -> str:
         """Step until everything is done or time is up; returns the status."""
-        scenario = self.world.scenario
-        end_s = scenario.duration_s or scenario.max_time_s
-        sample_every = whole_steps(scenario.record.sample_s, self.step_s)
-        flush_every = whole_steps(FLUSH_S, self.step_s)
         try:
-            while True:
-                self._customers()
-                if status := self._status(end_s):
-                    self._sample()
-                    return status
-                self._control()
-                if self.step % sample_every == 0:
-                    self._sample()
-                t = perf_counter()
-                self.plant.step()
-                self._wall["plant"] += perf_counter() - t
-                self.step += 1
-                self._check()
-                if self.journal is not None and self.step % flush_every == 0:
-                    self.journal.flush(self.recorder, self.now_s)
-                if self.step % 256 == 0:
-                    self._tell()
+            while not (status := self.advance()):
+                pass
         except KeyboardInterrupt:
             return "interrupted"
+        return status
+
+    def advance(self) -> str:
+        """Take one step; returns how the run has ended, "" while it goes on."""
+        self._customers()
+        if status := self._status(self._end_s):
+            self._sample()
+            return status
+        self._control()
+        if self.step % self._sample_every == 0:
+            self._sample()
+        t = perf_counter()
+        self.plant.step()
+        self._wall["plant"] += perf_counter() - t
+        self.step += 1
+        self._check()
+        if self.journal is not None and self.step % self._flush_every == 0:
+            self.journal.flush(self.recorder, self.now_s)
+        if self.step % 256 == 0:
+            self._tell()
+        return ""
 
     def _status(self, end_s: float) -> str:
         """How the run has ended, "" while it goes on."""
@@ -403,8 +470,9 @@ class _Run:
 
     # --- the end --------------------------------------------------------------------------------------------------
 
-    def finish(self, status: str, out: Path | None) -> Summary:
+    def finish(self, status: str) -> Summary:
         """Write the record and work out the metrics."""
+        out = self.out
         for job in self.garage.jobs:
             self.recorder.task(self._task_row(job))
         for i, agv in numbered(self.acs.agvs):

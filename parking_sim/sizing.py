@@ -31,7 +31,7 @@ from analysis.turned_away import TurnedAway, turned_away, turned_away_words
 from analysis.variants import variant_of
 from parking_sim.config import Scenario
 from parking_sim.errors import InputError, RunFailedError
-from parking_sim.sweep import Tell, open_folder, run_folder, run_missing, write_plan
+from parking_sim.many_runs import Tell, open_folder, run_folder, run_missing, write_plan
 from parking_sim.sweep_plan import RunSpec, make_runs
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ class Tried:
         return interval(self.values)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Sizing:
     """The answer: the least number that meets the target.
 
@@ -125,6 +125,11 @@ class Sizing:
     what: str = "agvs"
     given: Mapping[str, int] = field(default_factory=dict)
     away: Mapping[int, TurnedAway] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """The answer in a few words."""
+        found = "no number" if self.number is None else _count(self.number, self.what)
+        return f"<Sizing: {found} for '{self.target.words}', {self.runs} runs>"
 
     @property
     def runs(self) -> int:

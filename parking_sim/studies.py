@@ -37,8 +37,8 @@ def sweep(
 ) -> None:
     """Run many scenarios; what is done already is skipped, so that a stopped sweep goes on."""
     from parking_sim.executors import open_executor
+    from parking_sim.many_runs import sweep as run_sweep
     from parking_sim.progress import SweepBar
-    from parking_sim.sweep import sweep as run_sweep
     from parking_sim.sweep_plan import load_sweep
 
     specs = load_sweep(plan)

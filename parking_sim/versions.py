@@ -11,8 +11,8 @@ from pathlib import Path
 
 #: Modules of ``parking_sim`` that start runs but take no part in them: a change there leaves finished runs valid.
 _AROUND_A_RUN = {
-    "cli", "demo", "doctor", "executors", "folders", "progress", "reproduce", "rerun", "sizing", "studies", "sweep",
-    "sweep_plan", "tuning", "versions",
+    "__init__", "__main__", "cli", "demo", "doctor", "executors", "folders", "library", "many_runs", "progress",
+    "reproduce", "rerun", "shadowing", "sizing", "stepwise", "studies", "sweep_plan", "tuning", "versions",
 }  # fmt: skip
 _OF_ANALYSIS = {"metrics", "parquet", "tables"}
 

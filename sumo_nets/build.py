@@ -28,6 +28,7 @@ from itertools import pairwise
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
+from sumo_nets.errors import InputError
 from sumo_nets.graph import ROLES
 from sumo_nets.layout import Layout
 from sumo_nets.plan import NODE_SIZE_M, GaragePlan, Point, plan_garage
@@ -52,7 +53,7 @@ NETCONVERT_OPTIONS = (
 )  # fmt: skip
 
 
-class NetconvertError(RuntimeError):
+class NetconvertError(InputError):
     """netconvert isn't installed or refused a net; one line."""
 
 

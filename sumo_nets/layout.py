@@ -44,6 +44,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, field_validator, model_validator
 
+from sumo_nets.errors import InputError
 from sumo_nets.fields import first_error
 from sumo_nets.graph import Role
 from sumo_nets.yaml_file import YamlError, parse_mapping, read_mapping
@@ -73,7 +74,7 @@ _PICTURE_CHARACTERS = "#.S"
 _SUCH_AS = "name: my_garage"
 
 
-class LayoutError(ValueError):
+class LayoutError(InputError):
     """A layout that can't be built; the message is one line: file, field, value, what would be valid."""
 
 

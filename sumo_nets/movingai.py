@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from sumo_nets.errors import InputError
 from sumo_nets.graph import Graph, Role, make_graph
 from sumo_nets.numbering import Vertex
 
@@ -20,7 +21,7 @@ _BLOCKED = "@OTW"
 _ROLES: dict[str, Role] = {"e": "slot", "b": "bay", "r": "home"}
 
 
-class MovingAiError(ValueError):
+class MovingAiError(InputError):
     """A file that is not a map or a scenario; the message is one line."""
 
 

@@ -57,6 +57,11 @@ class GarageNet:
     street_shapes: Mapping[str, FloatArray]
     bidi: np.ndarray[tuple[int], np.dtype[np.bool_]]
 
+    def __repr__(self) -> str:
+        """The garage's name and its places by role."""
+        counts = ", ".join(f"{len(places)} {role}s" for role, places in self.graph.roles.items() if places)
+        return f"<GarageNet {self.name}: {counts}>"
+
     @property
     def name(self) -> str:
         """The net's name: its file's, without the suffix."""
@@ -102,6 +107,14 @@ def read_net(name_or_path: str | Path) -> GarageNet:
 
     Raises:
         NetError: unknown name, missing or unreadable file, a net without bays, or roles that contradict each other.
+
+    Example:
+        >>> import parking_sim as ps
+        >>> garage = ps.read_net("map1")
+        >>> garage
+        <GarageNet map1: 61 slots, 2 bays, 8 homes, 3 chargers>
+        >>> garage.graph.names[garage.graph.bays[0]]
+        'bay2_3w'
     """
     paths = net_files(name_or_path)
     return _read(*paths, tuple(_version(path) for path in paths))

@@ -188,7 +188,7 @@ def test_customers_turned_away_are_a_measure_and_no_served_task(tmp_path: Path) 
     runs = load_runs(tmp_path)
     plain, endless = (measure_runs(runs, endless=counted).iloc[0] for counted in (False, True))
     for measured in (plain, endless):
-        assert measured["turned_away_share"] == 0.6 == runs.runs.df()["turned_away_share"][0]
+        assert measured["turned_away_share"] == 0.6 == runs.runs["turned_away_share"][0]
         assert measured["tasks_per_hour"] == 4
     assert plain["park_total_max_s"] == 9
     assert math.isnan(plain["retrieval_wait_p50_s"])

@@ -49,7 +49,7 @@ def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let runs go on whatever ``for_ever`` says."""
-    monkeypatch.setattr(simulation._Run, "_held_for_ever", lambda run, end_s: False)
+    monkeypatch.setattr(simulation.RunLoop, "_held_for_ever", lambda run, end_s: False)
 
 
 BAYS = [read_net("map1").graph.names[v] for v in read_net("map1").graph.bays]

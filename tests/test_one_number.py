@@ -159,7 +159,7 @@ def test_metrics_are_what_plain_loops_find(tables, metrics):
 
 def test_the_same_numbers_in_metrics_load_runs_and_measures(folder, metrics):
     runs = load_runs(folder.parent)
-    (row,) = runs.runs.df().to_dict("records")
+    (row,) = runs.runs.to_dict("records")
     for key, value in metrics.items():
         assert row[key] == value or (value is None and math.isnan(row[key])), key
     (measured,) = measure_runs(runs).to_dict("records")

@@ -29,7 +29,7 @@ def test_each_folder_has_its_own_rows(tmp_path: Path) -> None:
         write_run(tmp_path / name, float(number))
     for number, name in enumerate(NAMES):
         assert load_run(tmp_path / name).timeline["time_s"].tolist() == [number]
-    rows = load_runs(tmp_path).table("timeline").df()
+    rows = load_runs(tmp_path).table("timeline")
     assert dict(zip(rows["run"], rows["time_s"], strict=True)) == {name: k for k, name in enumerate(NAMES)}
     assert len(rows) == len(NAMES)
 
@@ -50,4 +50,4 @@ def test_names_of_any_letters(tmp_path_factory: pytest.TempPathFactory, names: l
 def test_a_folder_reached_by_a_link(tmp_path: Path) -> None:
     write_run(tmp_path / "there" / "a", 3.0)
     (tmp_path / "here").symlink_to(tmp_path / "there")
-    assert load_runs(tmp_path / "here").table("timeline").df()["time_s"].tolist() == [3.0]
+    assert load_runs(tmp_path / "here").table("timeline")["time_s"].tolist() == [3.0]

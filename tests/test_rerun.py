@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from parking_sim.cli import main
-from parking_sim.sweep import do_run
+from parking_sim.many_runs import do_run
 from parking_sim.sweep_plan import load_sweep
 from sumo_nets.read import net_files
 

@@ -132,7 +132,7 @@ def test_values_of_the_grid_have_names(tmp_path: Path) -> None:
 
 
 def test_every_variant_has_its_runs_under_its_name(days: Path) -> None:
-    frame = load_runs(days).runs.df()
+    frame = load_runs(days).runs
     expected = {f"{name}, agvs={agvs}": 2 for name in NAMES for agvs in (2, 4)}
     assert frame["variant"].value_counts().to_dict() == expected
     for name, group in frame.groupby("variant"):
@@ -222,6 +222,6 @@ def test_colons_in_folders_and_names(tmp_path: Path) -> None:
 def test_a_file_that_changed_under_its_name_is_another_variant(tmp_path: Path) -> None:
     for folder, seed, digest in (("a", 1, "1" * 64), ("b", 2, "1" * 64), ("c", 1, "2" * 64)):
         Recorder().write(tmp_path / folder, {"scenario": {"garage": "g", "seed": seed}, "inputs": {"g": digest}})
-    names = load_runs(tmp_path).runs.df().set_index("run")["variant"]
+    names = load_runs(tmp_path).runs.set_index("run")["variant"]
     assert names["a"] == names["b"] == "inputs.g=11111111"
     assert names["c"] == "inputs.g=22222222"

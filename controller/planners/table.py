@@ -13,6 +13,7 @@ from typing import Any
 
 from controller.types import Motion, Planner, PlanningProblem, PlanResult
 from controller.types import Path as AgvPath
+from sumo_nets.errors import InputError
 from sumo_nets.graph import Graph
 from sumo_nets.wording import one_of
 
@@ -37,7 +38,7 @@ PLANNERS: dict[str, tuple[str, str, str]] = {
 }
 
 
-class PlannerError(ValueError):
+class PlannerError(InputError):
     """A planner of a user's own fails. The message is one line: the planner, its error and where it was raised."""
 
 

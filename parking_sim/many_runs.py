@@ -211,11 +211,10 @@ def do_run(scenario: Scenario, out: Path) -> None:
 def _simulate(scenario: Scenario, folder: Path, shared: Path) -> Exception | None:
     """Do a run; what went wrong is returned as text alone, for libsumo's exceptions don't travel between processes."""
     from parking_sim.simulation import simulate
-    from sumo_nets.errors import NetError
 
     try:
         status = simulate(scenario, folder, shared=shared).status
-    except (InputError, NetError) as error:
+    except InputError as error:
         return InputError(str(error))
     except RunFailedError as error:
         return RunFailedError(str(error))
