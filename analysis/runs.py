@@ -113,7 +113,8 @@ class Runs:
         Returns:
             Rows in the order of the runs and of each record.
         """
-        return self.relation(name).df()
+        frame: pd.DataFrame = self.relation(name).df()
+        return frame
 
     def relation(self, name: str) -> duckdb.DuckDBPyRelation:
         """A table over all runs that is not read before it is asked for.

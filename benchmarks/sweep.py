@@ -84,7 +84,7 @@ def timed(specs: tuple[RunSpec, ...], folder: Path, workers: int, dask: bool) ->
     for failure in failures:
         print(f"failed: {failure.spec.variant.name} seed={failure.spec.scenario.seed}: {failure.error}")
     frame = load_runs(folder).runs
-    return seconds, frame[[column for column in frame if not column.startswith("wall_")]]
+    return seconds, frame.loc[:, ~frame.columns.str.startswith("wall_")]
 
 
 @contextmanager
