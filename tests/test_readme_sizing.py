@@ -25,7 +25,7 @@ def commands() -> list[str]:
 def clone(target: Path) -> None:
     for package in PACKAGES:
         shutil.copytree(ROOT / package, target / package)  # with the compiled kernels: times are kept
-    for name in ("pyproject.toml", "README.md"):
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, target / name)
 
 

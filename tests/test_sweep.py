@@ -133,7 +133,7 @@ def test_a_folder_that_sumo_cannot_name(tmp_path: Path) -> None:
 def test_an_error_travels_without_what_caused_it(tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text(PLANNER)
     (spec,) = specs_of(tmp_path, "base: {garage: map1, agvs: 1, plant: discrete, planner: 'broken.py:plan'}\n")
-    with pytest.raises(RunFailedError) as caught:
+    with pytest.raises(InputError) as caught:
         do_run(spec.scenario, tmp_path / "run")
     assert caught.value.__context__ is None
     assert list(tmp_path.glob("run*")) == []
