@@ -105,6 +105,7 @@ class Floor:
     """A garage as the pipeline sees it: cells and moves.
 
     Attributes:
+        motion: how long moves take.
         cell_steps: steps of an ordinary move.
         steps: steps over each edge, for empty and loaded AGVs.
     """
@@ -115,7 +116,7 @@ class Floor:
         self.steps: list[list[int]] = motion.edge_steps.tolist()
         self._cell_m = float(np.median(graph.length_m)) if graph.ends else 1.0
         self._xy: list[list[float]] = space.lanes.xy.tolist()
-        self._motion, self._graph = motion, graph
+        self.motion, self._graph = motion, graph
         self._out = self.ways(space, DOWN_UP_RIGHT_LEFT)
         first = motion.first_transition.tolist()
         worst = [motion.turn_steps[0, a:b].max(initial=0) for a, b in pairwise(first)]
@@ -137,7 +138,7 @@ class Floor:
 
     def leads_on(self, in_edge: EdgeIndex, edge: EdgeIndex) -> bool:
         """Whether an AGV can turn from one edge to the next."""
-        return in_edge not in self._hindered or self._motion.turn(self._graph, in_edge, edge, False) < NEVER
+        return in_edge not in self._hindered or self.motion.turn(self._graph, in_edge, edge, False) < NEVER
 
     def matters(self, in_edge: EdgeIndex) -> EdgeIndex:
         """The edge an AGV has come by if that bars some way out, else ``NO_EDGE``."""
@@ -173,7 +174,7 @@ class Member:
         g = self.search.g.item(vertex)
         if g < FOREVER and g == self.search.rhs.item(vertex):
             return g / self.floor.cell_steps
-        found = self.search.g.item(self.agent.vertex) / self.floor.cell_steps
+        found = self.search.rhs.item(self.agent.vertex) / self.floor.cell_steps
         return max(
             self.floor.manhattan(vertex, self.agent.goal), found - self.floor.manhattan(vertex, self.agent.vertex)
         )

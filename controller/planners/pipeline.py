@@ -206,7 +206,7 @@ class _Call:
 
     def _next_cells(self, member: Member) -> list[Vertex]:
         """Where an agent's D* Lite leads it, around what is reserved; it stays if there is no way at present."""
-        if member.search.g.item(member.agent.vertex) >= FOREVER:
+        if member.search.rhs.item(member.agent.vertex) >= FOREVER:
             return [member.agent.vertex] * (self.table.h + 1)
         cells, in_edge = [member.agent.vertex] * (member.ready + 1), member.agent.in_edge
         while len(cells) <= self.table.h:
