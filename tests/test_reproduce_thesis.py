@@ -30,6 +30,8 @@ def test_the_quick_form_runs_and_says_what_holds(tmp_path, capsys):
     first = ticks.loc["map1", 1, "thesis"]
     assert first.loc["astar", ["steps", "movement_cost"]].tolist() == [8490, 6260]
     assert first.loc["dstar_lite", ["steps", "movement_cost"]].tolist() == [8490, 6260]
+    assert first.loc["pipeline", ["steps", "movement_cost"]].tolist() == [9176, 6260]
+    assert first.loc["pipeline", "nodes_expanded"] == first.loc["dstar_lite", "nodes_expanded"]
     for work in ("nodes_expanded", "heap_moves"):
         by_planner = ticks[work].unstack("planner")
         assert (by_planner[DEFAULT] < by_planner["dstar_lite"]).all()
