@@ -14,11 +14,13 @@ from __future__ import annotations
 import random
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+
+from docs_tables import Row, Rows, RunSet, Table, groups, markdown, total
 
 from parking_sim.config import Scenario, check_scenario
 from parking_sim.errors import InputError
@@ -262,12 +264,47 @@ def is_good(row: Data) -> bool:
     return (row["status"] == "finished" and not left) or row["status"] == "refused"
 
 
-def cases() -> Iterable[Data]:
-    """All runs, garage by garage: each builds and checks a net once."""
-    for plant, every in (("discrete", 1), ("sumo", SUMO_EVERY)):
-        for number in range(0, GARAGES, every):
-            for planner in PLANNERS:
-                yield {"number": number, "planner": planner, "plant": plant}
+def run_garage(case: Row) -> Row:
+    """A run of a garage."""
+    return run(case["number"], case["planner"], case["plant"])
+
+
+def show_garages(rows: Rows) -> list[str]:
+    """A line a plant and planner."""
+    lines = []
+    for (plant, planner), own in groups(rows, "plant", "planner").items():
+        runs = [row for row in own if row["status"] != "refused"]
+        left = [str(row["number"]) for row in runs if not is_good(row)]
+        lines.append(
+            [
+                "SUMO" if plant == "sumo" else "ticks",
+                f"`{planner}`",
+                f"{len(own)}",
+                f"{len(own) - len(runs)}",
+                f"{len(runs) - len(left)} of {len(runs)}",
+                ", ".join(left) or "none",
+                f"{total(runs, 'tasks_done'):,}",
+                f"{total(runs, 'deadlocks_found')}, {total(runs, 'deadlocks_unresolved')}",
+            ]
+        )
+    headings = ["plant", "planner", "garages", "refused", "finished", "not finished", "tasks done"]
+    return markdown([*headings, "deadlocks found, left"], lines)
+
+
+SETS: Mapping[str, RunSet] = {
+    "garages": RunSet(
+        "random small garages, in ticks, and every tenth in SUMO",
+        tuple(
+            {"number": number, "planner": planner, "plant": plant}
+            for plant, every in (("discrete", 1), ("sumo", SUMO_EVERY))
+            for number in range(0, GARAGES, every)
+            for planner in PLANNERS
+        ),
+        run_garage,
+    )
+}
+
+TABLES: Mapping[str, Table] = {"garages": Table("garages", show_garages)}
 
 
 def main(words: Sequence[str]) -> None:

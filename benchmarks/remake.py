@@ -69,7 +69,7 @@ def read_results(path: Path) -> list[Row]:
     """The rows of a set; none if it was never made."""
     if not path.is_file():
         return []
-    texts = ("commit", "code", "complaints", "target", "grid", "answer")
+    texts = ("commit", "code", "complaints", "target", "grid", "answer", "reason")
     table = pd.read_csv(path, dtype=dict.fromkeys(texts, str)).fillna(dict.fromkeys(texts, ""))
     return [{str(key): value for key, value in row.items()} for row in table.to_dict("records")]
 
