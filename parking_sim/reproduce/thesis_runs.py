@@ -20,7 +20,7 @@ PLANNERS: Mapping[str, str] = {
     "astar": "`astar`, the thesis's A*: a fresh search for each move",
     "dstar_lite": "`dstar_lite`, the thesis's D* Lite: each AGV's search is kept and repaired",
     "pipeline": "the thesis's pipeline after its pseudo-code 3 (wait-for graph, partial CBS, leader, pull-over)",
-    "whca": "our WHCA*: a complete search in the window, deadlocks from real waits",
+    "whca": "our WHCA*: a complete search in the window, deadlocks are the controller's work",
     DEFAULT: "the default planner of this program: token passing",
 }
 #: Each of the thesis's claims about its pipeline is judged for these.
