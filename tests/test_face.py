@@ -100,9 +100,3 @@ def mypy(folder: Path, file: str) -> str:
         cwd=folder, env={**os.environ, "MYPYPATH": str(ROOT)}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     return done.stdout + done.stderr
-
-
-def test_a_users_file_runs(tmp_path: Path) -> None:
-    done = python(USER_FILE, tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "<Summary: time_limit after 300 s, " in done.stdout
