@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint nets clean
+.PHONY: demo test lint nets docs clean
 .DELETE_ON_ERROR:
 
 $(STAMP): pyproject.toml
@@ -40,5 +40,13 @@ test: lint $(VENV)/.extras $(VENV)/.browser
 nets: $(VENV)/.extras
 	$(BIN)/parking-sim build-net --all
 
+$(VENV)/.docs: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	touch $@
+
+## build the docs site into build/docs
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 clean:
-	rm -rf $(VENV) runs
+	rm -rf $(VENV) runs build

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from controller.types import Status as Status
     from parking_sim.config import Scenario as Scenario
     from parking_sim.config import load_scenario as load_scenario
-    from parking_sim.errors import InputError as InputError
     from parking_sim.errors import RunFailedError as RunFailedError
     from parking_sim.library import compare as compare
     from parking_sim.library import size as size
@@ -43,13 +42,14 @@ if TYPE_CHECKING:
     from parking_sim.simulation import Summary as Summary
     from parking_sim.simulation import simulate as simulate
     from parking_sim.stepwise import Simulation as Simulation
+    from sumo_nets.errors import InputError as InputError
     from sumo_nets.read import read_net as read_net
 
     __version__: str
 
 #: Public name -> the module that defines it.
 _PLACES = {
-    "InputError": "parking_sim.errors",
+    "InputError": "sumo_nets.errors",
     "Path": "controller.types",
     "PlanAgent": "controller.types",
     "PlanResult": "controller.types",

@@ -86,7 +86,8 @@ def compare(
     """Compare two variants by the seeds they share.
 
     Args:
-        a, b: runs of the two, or their folders; ``FOLDER:key=value,...`` picks a variant in a folder.
+        a: runs of one variant, or their folder; ``FOLDER:key=value,...`` picks a variant in a folder.
+        b: runs of the other one, in the same words.
         names: what to call them.
         warmup_s: simulated seconds at the start that don't count.
         measures: keys of ``analysis.measures.MEASURES``.
