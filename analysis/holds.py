@@ -25,6 +25,7 @@ _WORDS: Mapping[str, str] = {
     "bay_taken": "the last car has not left the place beside {place}",
     "no_bay": "no bay is free",
     "no_slot": "no slot is free",
+    "no_charger": "no charger is free",
     "no_agv": "no AGV is free",
     "idle_agv": "AGV {agv} stands idle at {place}, in the way",
     "traffic": "AGV {agv} is at work or on its way at {place}",
@@ -32,7 +33,9 @@ _WORDS: Mapping[str, str] = {
     "no_plan": "the planner has found no way to {place} yet",
 }
 #: Causes that every busy garage has.
-ORDINARY = frozenset({"not_moving", "customer", "not_come", "bay_taken", "no_bay", "no_agv", "traffic", "no_plan"})
+ORDINARY = frozenset(
+    {"not_moving", "customer", "not_come", "bay_taken", "no_bay", "no_charger", "no_agv", "traffic", "no_plan"}
+)
 
 
 @dataclass(frozen=True)

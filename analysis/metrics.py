@@ -92,6 +92,14 @@ METRICS: Mapping[str, tuple[str, str]] = {
     "agv_time_error_s": ("s", "largest difference between an AGV's times added up and the simulated time; about 0"),
     "distance_m": ("m", "distance driven by all AGVs"),
     "energy_wh": ("Wh", "energy drawn by all AGVs"),
+    "charges": ("", "charges begun"),
+    "charger_wait_s": (
+        "s",
+        "time from when an AGV had to charge and none was free to its charge, all AGVs together",
+    ),
+    "charger_wait_max_s": ("s", "the same, longest"),
+    "charger_busy_share": ("", "share of the chargers' time in which an AGV charged"),
+    "batteries_flat": ("", "times that an AGV stood with an empty battery"),
     "deadlocks_found": ("", "deadlocks detected"),
     "deadlocks_resolved": ("", "deadlocks resolved"),
     "deadlocks_unresolved": ("", "deadlocks found but not resolved"),
@@ -149,6 +157,7 @@ def run_metrics(run: Run) -> Metrics:
         **_waits(run),
         **_queue(run),
         **_fleet(run),
+        **_charging(run),
         **_deadlocks(run),
         **_safety(run),
         **_thesis(run),
@@ -322,6 +331,27 @@ def _fleet(run: Run) -> Metrics:
         "agv_time_error_s": float(errors.abs().max()) if len(agvs) else NAN,
         "distance_m": float(agvs["distance_m"].sum()),
         "energy_wh": float(agvs["energy_wh"].sum()),
+    }
+
+
+def _charging(run: Run) -> Metrics:
+    events, end_s = run.events, _number(run, "simulated_s")
+    since: dict[int, float] = {}
+    waited: list[float] = []
+    for agv, kind, time_s in events[["agv", "kind", "time_s"]].itertuples(index=False):
+        if kind == "charge_wait":
+            since.setdefault(agv, time_s)
+        elif kind == "charge_start" and agv in since:
+            waited.append(time_s - since.pop(agv))
+    waited += [end_s - time_s for time_s in since.values()]
+    chargers = int(run.vertices["roles"].str.split(",").map(lambda roles: "charger" in roles).sum())
+    begun = run.details("fault_start")
+    return {
+        "charges": int((events["kind"] == "charge_start").sum()),
+        "charger_wait_s": float(sum(waited)),
+        "charger_wait_max_s": max(waited, default=0.0),
+        "charger_busy_share": _ratio(float(run.agvs["charging_s"].sum()), chargers * end_s),
+        "batteries_flat": int((begun["cause"] == "battery").sum()) if len(begun) else 0,
     }
 
 

@@ -6,14 +6,15 @@ grants. The ACS sees states and gives commands; it knows neither SUMO nor files 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from controller.charging import Charging
 from controller.claims import Claims
 from controller.costs import Costs
-from controller.dispatch import Rule
+from controller.dispatch import Offer, Rule
 from controller.executor import Executor
 from controller.faults import CLOSING, FaultReport, Outages
 from controller.fleet import FREE_MODES, Agv
@@ -80,8 +81,10 @@ class Acs:
         long_steps = setup.options.ladder.stuck_steps
         self._wait_log = WaitLog(self.holds, self.executor, self.agvs, long_steps, self.log)
         self._claims = Claims(setup.garage, self.agvs, self.executor, self.costs, setup.rules.lift_bay)
+        self._charging = Charging(
+            setup.rules, setup.garage, self.agvs, self.executor, self.costs, self.outages, self._claims, self.log
+        )
         self._attend: set[AgvNumber] = set()
-        self._low: set[AgvNumber] = set()
         self._places: Mask = np.zeros(len(setup.graph.names), dtype=np.uint8)
         self._places[[*setup.graph.bays, *setup.graph.chargers, *setup.homes]] = 1
         self._now_s = 0.0
@@ -101,8 +104,7 @@ class Acs:
         self._step, self._now_s = step, self._setup.motion.seconds(step)
         self._commands = []
         changed, finished = self.executor.update(states, step)
-        for n in changed:
-            self.agvs[n].soc = states[n].soc
+        self._charging.read(changed, states, step)
         for n in finished:
             self._complete(self.agvs[n])
         self._attend.update(changed)
@@ -110,7 +112,7 @@ class Acs:
         if self.garage.handover == "bay":
             self._commands += self.garage.board(self._now_s)
             self._commands += self.garage.call_forward(self._now_s, self.outages.closed)
-        self._send_charging(changed)
+        self._send_charging()
         self._dispatch()
         self._choose_bays()
         self.planning.step(step, self._blocked(), self._no_rest)
@@ -164,6 +166,7 @@ class Acs:
         agv.then = NO_VERTEX
         if action is Action.CHARGE:
             self.log("charge_end", agv.number, "", agv.goal, {"soc": round(agv.soc, 4)})
+            self._charging.charged(agv)
             self._release(agv)
             self._set_mode(agv, AgvMode.RETURNING_HOME_MAINTENANCE)
             self._set_goal(agv, agv.home)
@@ -227,6 +230,7 @@ class Acs:
         if job.state == "served":
             self.log("task_done", agv.number, job.car, agv.goal, {"request": job.number})
         self._release(agv)
+        self._charging.task_done(agv)
         agv.tasks += 1
         agv.job = None
         if agv.goal == agv.home:
@@ -244,45 +248,55 @@ class Acs:
             return agv.mode in FREE_MODES and agv.action is None
         return agv.mode is AgvMode.IDLE
 
-    def _send_charging(self, changed: Sequence[AgvNumber]) -> None:
-        self._low.update(n for n in changed if self.agvs[n].soc <= self.rules.charge_below)
+    def _send_charging(self) -> None:
         if not (self.garage.unfinished or self.rules.charge_unasked):
             return
-        for agv in [self.agvs[n] for n in sorted(self._low)]:
-            free_to_go = agv.mode in FREE_MODES and agv.action is None and not (agv.immobile or agv.off_duty)
-            if agv.soc <= self.rules.charge_below and free_to_go:
-                here = self.executor.agvs[agv.number].last
-                may = self.rules.charge_anywhere or here == agv.home or here in self.garage.slot_of
-                taken = {*self._claims.holder, *self.outages.closed}
-                free = [c for c in self.graph.chargers if c not in taken]
-                if free and may:
-                    charger = min(free, key=lambda c: int(self.costs.to(c)[here]))
-                    self._claims.holder[charger] = agv.number
-                    self._set_mode(agv, AgvMode.GOING_TO_CHARGE)
-                    self._set_goal(agv, charger)
-                    self._low.discard(agv.number)
+        late = self._charging.gives_way()
+        if late:
+            self._give_back(late)
+        for agv, charger in self._charging.next_to_go():
+            self._set_mode(agv, AgvMode.GOING_TO_CHARGE)
+            self._set_goal(agv, charger)
 
     def _dispatch(self) -> None:
         if not self.garage.open:
             return
-        at = {a.number: self.executor.agvs[a.number].last for a in self.agvs if self._available(a)}
         count = len(self.garage.open)
         if self.rules.keep_for_returning:
             count -= sum(1 for a in self.agvs if a.mode is AgvMode.RETURNING_HOME_EMPTY)
-        if not at or count <= 0:
-            return
-        before = self.costs.expanded
-        for offer in self._setup.dispatch(self.garage.open, at, self._claims.only(self._step), self.costs)[:count]:
-            self._assign(offer.job, self.agvs[offer.agv], offer.origin)
-        self.planning.slot_choice += self.costs.expanded - before
+        available = {a.number: self.executor.agvs[a.number].last for a in self.agvs if self._available(a)}
+        for at in self._charging.in_turn(available):
+            while at and count > 0 and self.garage.open:
+                offers = self._offers(at)[:count]
+                refused = {offer.agv for offer in offers if not self._take(offer)}
+                count -= len(offers) - len(refused)
+                if not refused:
+                    break
+                at = {n: v for n, v in at.items() if n not in {offer.agv for offer in offers}}
 
-    def _assign(self, job: Job, agv: Agv, origin: Vertex) -> None:
-        origin = agv.home if origin < 0 else origin
+    def _offers(self, at: Mapping[AgvNumber, Vertex]) -> list[Offer]:
+        before = self.costs.expanded
+        offers = self._setup.dispatch(self.garage.open, at, self._claims.only(self._step), self.costs)
+        self.planning.slot_choice += self.costs.expanded - before
+        return offers
+
+    def _take(self, offer: Offer) -> bool:
+        """Give the job to the AGV unless there is no slot for the car; False if the AGV lacks the charge for it."""
+        job, agv = offer.job, self.agvs[offer.agv]
+        origin = agv.home if offer.origin < 0 else offer.origin
         slot = NO_VERTEX
         if job.is_park:
+            before = self.costs.expanded
             slot = choose_slot(self.garage, origin, job.request.zone, self.costs, self.rules.around_cars)
+            self.planning.slot_choice += self.costs.expanded - before
             if slot < 0:
-                return
+                return True
+        if not self._charging.takes(agv, origin, slot):
+            return False
+        self._assign(job, agv, origin, slot)
+        return True
+
+    def _assign(self, job: Job, agv: Agv, origin: Vertex, slot: Vertex) -> None:
         self.garage.assign(job, agv.number, self._now_s, origin, slot)
         agv.job = job
         if origin in self.garage.bays and self.garage.handover == "bay":
@@ -353,7 +367,7 @@ class Acs:
             self.log("task_returned", agv.number, job.car, NO_VERTEX, {"request": job.number})
         elif agv.mode is AgvMode.GOING_TO_CHARGE:
             self._release(agv)
-            self._low.add(agv.number)
+            self._charging.has_to_wait(agv)
         else:
             return
         self._set_mode(agv, AgvMode.RETURNING_HOME_EMPTY)

@@ -52,6 +52,7 @@ class Agv:
         action: action under way at the goal.
         then: where it goes when that action has ended, -1 while its way there is not to be planned yet.
         soc: state of charge, 0 to 1.
+        due_at: state of charge at or below which it has to charge; -1 while it need not, or has a charger.
         tasks: tasks done.
         immobile: it has reported a fault and cannot move.
         off_duty: it gets no task until its fault is repaired.
@@ -65,9 +66,15 @@ class Agv:
     action: Action | None = None
     then: Vertex = NO_VERTEX
     soc: float = 1.0
+    due_at: float = -1.0
     tasks: int = 0
     immobile: bool = False
     off_duty: bool = False
+
+    @property
+    def due(self) -> bool:
+        """It has to charge and has no charger yet."""
+        return self.soc <= self.due_at
 
     @property
     def heads_for(self) -> Vertex:

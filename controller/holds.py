@@ -38,6 +38,7 @@ class Cause(StrEnum):
     BAY_TAKEN = "bay_taken"  # the place beside the bay still has the car before
     NO_BAY = "no_bay"  # no bay is open, or none is free
     NO_SLOT = "no_slot"  # no slot is open and free
+    NO_CHARGER = "no_charger"  # no charger is open, or none is free for an AGV that has to charge
     NO_AGV = "no_agv"  # every AGV is out of order, or none is free
     IDLE_AGV = "idle_agv"  # the last AGV of the chain has nothing to do and stands in the way
     TRAFFIC = "traffic"  # the last AGV of the chain drives or works
@@ -100,8 +101,8 @@ class Holds:
                 yield replace(hold, agv=n, request=job.number if job else NO_REQUEST)
 
     def has_work(self, agv: Agv) -> bool:
-        """It has a task, or somewhere to go."""
-        return agv.job is not None or agv.goal != self._executor.agvs[agv.number].last
+        """It has a task, or somewhere to go, or has to charge."""
+        return agv.job is not None or agv.due or agv.goal != self._executor.agvs[agv.number].last
 
     # --- AGVs -----------------------------------------------------------------------------------------------------
 
@@ -147,11 +148,11 @@ class Holds:
         """What holds an AGV that stands where it was to go."""
         job = agv.job
         if job is None:
-            return None
+            return self._none_free(Cause.NO_CHARGER, self._garage.graph.chargers) if agv.due else None
         if agv.mode is AgvMode.GOING_TO_COLLECT:
             return Hold(Cause.CUSTOMER, vertex=agv.goal)
         if job.destination < 0:
-            return self._no_bay()
+            return self._none_free(Cause.NO_BAY, self._garage.bays)
         return None if self._garage.may_lower(job) else Hold(Cause.BAY_TAKEN, vertex=agv.goal)
 
     def _cut_off(self, agv: Agv, walls: Collection[Vertex]) -> Hold:
@@ -166,9 +167,10 @@ class Holds:
         faults = self._outages.closing(v) + tuple(f for n in stopped for f in self._outages.holding(n))
         return Hold(Cause.CUT_OFF, vertex=v, chain=tuple(stopped[:1]), faults=tuple(dict.fromkeys(faults)))
 
-    def _no_bay(self) -> Hold:
-        shut = [bay for bay in self._garage.bays if bay in self._outages.closed]
-        return Hold(Cause.NO_BAY, faults=tuple(dict.fromkeys(f for v in shut for f in self._outages.closing(v))))
+    def _none_free(self, cause: Cause, places: Iterable[Vertex]) -> Hold:
+        """None of these places is open and free; the faults are those that close some of them."""
+        shut = [v for v in places if v in self._outages.closed]
+        return Hold(cause, faults=tuple(dict.fromkeys(f for v in shut for f in self._outages.closing(v))))
 
     # --- requests -------------------------------------------------------------------------------------------------
 
@@ -180,13 +182,18 @@ class Holds:
     def _in_the_street(self, job: Job) -> Hold | None:
         if not job.is_park:
             return self._for_an_agv(job) if job.origin >= 0 else None
-        return Hold(Cause.NOT_COME, vertex=job.origin) if job.origin >= 0 else self._no_bay()
+        return (
+            Hold(Cause.NOT_COME, vertex=job.origin)
+            if job.origin >= 0
+            else self._none_free(Cause.NO_BAY, self._garage.bays)
+        )
 
     def _for_an_agv(self, job: Job) -> Hold:
         garage = self._garage
         if job.is_park and not (garage.slot_free & garage.slot_open).any():
-            shut = [v for v in garage.slot_of if v in self._outages.closed]
-            return Hold(Cause.NO_SLOT, faults=tuple(dict.fromkeys(f for v in shut for f in self._outages.closing(v))))
+            return self._none_free(Cause.NO_SLOT, garage.slot_of)
+        if any(agv.due and agv.job is None and not (agv.immobile or agv.off_duty) for agv in self._agvs):
+            return replace(self._none_free(Cause.NO_CHARGER, garage.graph.chargers), vertex=job.origin)
         out = [agv for agv in self._agvs if agv.immobile or agv.off_duty]
         faults = tuple(dict.fromkeys(f for agv in out for f in self._outages.holding(agv.number)))
         return Hold(Cause.NO_AGV, vertex=job.origin, faults=faults if len(out) == len(self._agvs) else ())

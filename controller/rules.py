@@ -20,6 +20,8 @@ class Rules:
         cell_steps: steps of one ordinary move; the thesis counts stuck ticks and windows in moves.
         charge_anywhere: an AGV on its way home may turn off to charge anywhere, not only in the slot it starts from.
         charge_unasked: AGVs go to charge though all requests are finished.
+        by_charge: the emptiest AGV charges first, and tasks go to AGVs with charge enough, see
+            ``controller.charging``; else AGVs charge in order of their numbers and take any task.
         around_cars: slots are chosen by the way around parked cars as they stand now.
         resolve_deadlocks: deadlocks are looked for and resolved.
         empty_avoid_slots: AGVs on their way home without a car do not pass through empty slots.
@@ -40,6 +42,7 @@ class Rules:
     cell_steps: int
     charge_anywhere: bool = True
     charge_unasked: bool = True
+    by_charge: bool = True
     around_cars: bool = False
     resolve_deadlocks: bool = True
     empty_avoid_slots: bool = False

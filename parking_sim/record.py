@@ -183,6 +183,7 @@ KINDS: Mapping[str, str] = {
     "controller.holds.Cause), chain (AGV numbers: it waits for the first, that one for the next), faults (numbers at "
     "the root), request (number, -1 for none), since_s (when the wait began); its vertex is the place concerned",
     "held_end": "a wait that was held is over: cause (the last one), waited_s",
+    "charge_wait": "an AGV has to charge, and no charger is free: soc",
     "charge_start": "an AGV starts to charge: soc",
     "charge_end": "an AGV ends charging: soc",
     "grant": "an AGV may drive on (recorded on request): vertices",

@@ -24,7 +24,7 @@ class TickRules:
         empty_avoid_slots_of: planners under which AGVs on their way home do not pass through empty slots.
         unaided: planners whose deadlocks are not resolved by the controller.
         dispatch: dispatch rule that goes with the set, "" for the scenario's.
-        charge_anywhere, charge_unasked, around_cars, keep_for_returning: see ``controller.rules.Rules``.
+        charge_anywhere, charge_unasked, by_charge, around_cars, keep_for_returning: see ``controller.rules.Rules``.
         run_on: ticks that the run goes on after the last task, at most; it ends when all AGVs are idle.
     """
 
@@ -40,6 +40,7 @@ class TickRules:
     dispatch: str = ""
     charge_anywhere: bool = True
     charge_unasked: bool = True
+    by_charge: bool = True
     around_cars: bool = False
     keep_for_returning: bool = False
     run_on: int = 0
@@ -70,6 +71,7 @@ class TickRules:
             cell_steps=1,
             charge_anywhere=self.charge_anywhere,
             charge_unasked=self.charge_unasked,
+            by_charge=self.by_charge,
             around_cars=self.around_cars,
             resolve_deadlocks=planner not in self.unaided,
             empty_avoid_slots=planner in self.empty_avoid_slots_of,
@@ -94,6 +96,7 @@ RULE_SETS: dict[str, TickRules] = {
         charge=19,
         charge_anywhere=False,
         charge_unasked=False,
+        by_charge=False,
         empty_avoid_slots_of=frozenset({"dstar_lite", "pipeline"}),
         unaided=frozenset({"astar", "dstar_lite", "pipeline"}),
         dispatch="first-come",
