@@ -176,20 +176,24 @@ def test_a_fleet_that_is_low_altogether_charges_in_turn_and_then_serves_everybod
 
 
 def test_one_charger_for_six_agvs_is_enough_where_the_energy_is(tmp_path):
-    """In SUMO: without a queue by charge, one AGV runs flat and another one gets tasks with under 5 %."""
+    """In SUMO. Where charge was not looked at, AGVs of this fleet ran flat six times, and had tasks at under 5 %."""
     record = run(
-        tmp_path / "run", garage="map1", agvs=6, chargers=1, seed=2, duration_s=18_000.0,
-        record={"replay": False, "plans": False, "sample_s": 30.0}, agv={"battery_wh": 400.0, "charge_w": 1500.0},
+        tmp_path / "run", garage="map1", agvs=6, chargers=1, seed=2, duration_s=10_800.0,
+        record={"replay": False, "plans": False, "sample_s": 30.0}, agv={"battery_wh": 300.0, "charge_w": 700.0},
         workload={
-            "kind": "poisson", "arrivals_per_h": 12, "dwell_median_min": 60, "duration_min": 270,
+            "kind": "poisson", "arrivals_per_h": 12, "dwell_median_min": 60, "duration_min": 150,
             "initial_occupancy": 0.4,
         },
     )  # fmt: skip
     check_whole(record)
     assert not events(record, "fault_start")
     assert record.trajectory.soc.min() > 0.0
-    assert len({event["agv"] for event in events(record, "charge_start")}) >= 5
-    assert (record.tasks.state == "served").mean() > 0.9
+    assert {event["agv"] for event in events(record, "charge_start")} >= {2, 3, 4, 5}
+    assert set(record.tasks.state) == {"served"}
+    for event in events(record, "task_assigned"):
+        before = record.trajectory[record.trajectory.time_s <= event["time_s"]].groupby("agv").last()
+        idle = before[before["mode"] == AgvMode.IDLE]
+        assert before.soc[event["agv"]] > 0.05 or not (idle.soc > CHARGE_BELOW).any()
 
 
 # --- drive-through slots ----------------------------------------------------------------------------------------------
