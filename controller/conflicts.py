@@ -43,25 +43,15 @@ def find_conflicts(paths: Iterable[Path], motion: Motion, until: int = FOREVER) 
 
     Returns:
         Conflicts by (step, vertex, agents). Two agents that overlap at several places have one conflict for each, so
-        head-on agents whose bodies need both vertices have a "swap" at either vertex. A ring of agents that each
-        enter the vertex that the next one leaves in the same step is one "cycle", named by the lowest AGV number,
-        the one ahead of it, and the vertex that it enters.
+        head-on agents whose bodies need both vertices have a "swap" at either vertex. A swap without overlap is
+        named by the lower AGV number and the vertex that it enters. Three or more that each enter the vertex that the
+        next one leaves are no conflict where following is allowed.
     """
     paths = list(paths)
     found = [*_overlaps(paths, motion.following)]
     if motion.following:
-        found += _rings(paths)
+        found += _swaps(paths)
     return sorted((c for c in found if c.step < until), key=lambda c: (c.step, c.vertex, c.agents))
-
-
-def ring_of(paths: Iterable[Path], conflict: Conflict) -> list[tuple[AgvNumber, Vertex, Vertex]]:
-    """The moves of a "swap" or "cycle" conflict without overlap, as (agent, tail, head), from its first agent on."""
-    leaving = _leaving(paths)[conflict.step]
-    first = next(move for move in leaving.values() if move.agv == conflict.agents[0])
-    ring = [first]
-    while (move := leaving[ring[-1].head]) != first:
-        ring.append(move)
-    return [(move.agv, move.tail, move.head) for move in ring]
 
 
 def validate(problem: PlanningProblem, result: PlanResult, one_move: bool = False) -> list[str]:
@@ -149,26 +139,13 @@ def _leaving(paths: Iterable[Path]) -> defaultdict[int, dict[Vertex, _Move]]:
     return moves
 
 
-def _rings(paths: list[Path]) -> Iterator[Conflict]:
-    """Swaps and longer rings of agents that all arrive in one step, each where the next one left."""
+def _swaps(paths: list[Path]) -> Iterator[Conflict]:
+    """Pairs of agents that arrive in one step, each where the other one left."""
     for step, leaving in _leaving(paths).items():
-        seen: set[Vertex] = set()
-        for start in leaving:
-            chain: list[_Move] = []
-            vertex = start
-            while vertex in leaving and vertex not in seen:
-                seen.add(vertex)
-                chain.append(leaving[vertex])
-                vertex = leaving[vertex].head
-            ring = [move.tail for move in chain]
-            if vertex in ring:
-                yield _ring_conflict(chain[ring.index(vertex) :], step)
-
-
-def _ring_conflict(ring: list[_Move], step: int) -> Conflict:
-    low = min(range(len(ring)), key=lambda k: ring[k].agv)
-    first, ahead = ring[low], ring[(low + 1) % len(ring)]
-    return Conflict("swap" if len(ring) == 2 else "cycle", (first.agv, ahead.agv), first.head, step)
+        for move in leaving.values():
+            other = leaving.get(move.head)
+            if other is not None and other.head == move.tail and move.agv < other.agv:
+                yield Conflict("swap", (move.agv, other.agv), move.head, step)
 
 
 def _path_faults(problem: PlanningProblem, agent: PlanAgent, path: Path) -> Iterator[str]:

@@ -5,7 +5,8 @@ Ma, Kumar and Koenig 2017, MAPF-POST). The story of a vertex:
 
 1. *order*: the accepted plan says in which order AGVs visit it;
 2. *claim*: the first in the order claims it when it is free and the AGV's authority ends next door;
-3. *grant*: a claimed vertex is granted to the plant, the AGV may drive there;
+3. *grant*: a claimed vertex is granted to the plant, the AGV may drive there; where a vertex may be entered in the
+   tick in which it is left, a ring of three or more is granted together as soon as all of them are ready;
 4. *free*: the vertex belongs to the AGV until the plant says that its rear has left.
 
 Both directions of a lane lie between two vertices, and an AGV on it owns at least one of them while the one it leaves
@@ -16,7 +17,7 @@ cannot make two AGVs meet.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -246,36 +247,87 @@ class Executor:
         run: list[Vertex] = []
         while a.pending and a.able and a.acting_until < 0 and a.granted - a.reached < self.lookahead:
             w = a.pending[0]
-            edge = self.graph.edge_index[a.last, w]
-            if a.in_edge >= 0:
-                k = self.motion.transition(self.graph, a.in_edge, edge)
-                if self.motion.turn_steps[int(a.loaded), k] and a.turned_to != w:
-                    rotation = int(self.motion.rotation_steps[int(a.loaded), k])
-                    if not a.standing or run:
-                        break
-                    a.turned_to = w
-                    if self.graph.reverse[edge] >= 0 and a.in_edge not in self._hindered:
-                        # it stands now as if it had come from there
-                        a.in_edge = EdgeIndex(int(self.graph.reverse[edge]))
-                    if rotation:
-                        commands.append(self.act(agv, Action.TURN, rotation, step))
-                        break
+            if self._must_turn(a, w):
+                if not a.standing or run:
+                    break
+                rotation = self._turn(a, w)
+                if rotation:
+                    commands.append(self.act(agv, Action.TURN, rotation, step))
+                    break
             if not self._claim(agv, w):
+                if self.motion.following and not run:
+                    self._rotate(self._ring_of(agv), commands)
                 break
-            a.pending.popleft()
-            a.turned_to = NO_VERTEX
+            self._enter(agv, w)
             if self.motion.following:
                 self._leave_behind(agv)
-            a.trail.append(w)
-            a.in_edge = edge
-            self.distance_m[agv] += float(self.graph.length_m[edge])
-            a.standing = False
             run.append(w)
         if run:
             if len(a.trail) == len(run) + 1 and a.reached == a.granted - len(run):
                 a.since = step
             self.moves[agv] += len(run)
             commands.append(Advance(agv, tuple(run)))
+
+    def _must_turn(self, a: Authority, vertex: Vertex) -> bool:
+        """It has to turn before it drives to the next vertex of its way."""
+        if a.in_edge < 0 or a.turned_to == vertex:
+            return False
+        k = self.motion.transition(self.graph, a.in_edge, self.graph.edge_index[a.last, vertex])
+        return bool(self.motion.turn_steps[int(a.loaded), k])
+
+    def _turn(self, a: Authority, vertex: Vertex) -> int:
+        """Turn a standing AGV towards the next vertex of its way; the steps of rotation that this takes."""
+        edge = self.graph.edge_index[a.last, vertex]
+        rotation = int(self.motion.rotation_steps[int(a.loaded), self.motion.transition(self.graph, a.in_edge, edge)])
+        a.turned_to = vertex
+        if self.graph.reverse[edge] >= 0 and a.in_edge not in self._hindered:
+            # it stands now as if it had come from there
+            a.in_edge = EdgeIndex(int(self.graph.reverse[edge]))
+        return rotation
+
+    def _enter(self, agv: AgvNumber, vertex: Vertex) -> None:
+        """Move the end of an AGV's authority on to the next vertex of its way, which belongs to it by now."""
+        a = self.agvs[agv]
+        edge = self.graph.edge_index[a.last, vertex]
+        a.pending.popleft()
+        a.turned_to = NO_VERTEX
+        a.trail.append(vertex)
+        a.in_edge = edge
+        self.distance_m[agv] += float(self.graph.length_m[edge])
+        a.standing = False
+
+    def _ring_of(self, agv: AgvNumber) -> list[AgvNumber]:
+        """Three or more AGVs, this one first, that are ready to enter the vertex of the next one; empty if none."""
+        ring = [agv]
+        while self._ready_to_enter(ring[-1]):
+            ahead = self.owner[self.agvs[ring[-1]].pending[0]]
+            if ahead == agv:
+                return ring if len(ring) > 2 else []
+            if ahead == NO_AGV or ahead in ring:
+                break
+            ring.append(ahead)
+        return []
+
+    def _ready_to_enter(self, agv: AgvNumber) -> bool:
+        """Only the AGV on the next vertex of its way keeps it from entering that vertex."""
+        a = self.agvs[agv]
+        if not a.pending or not a.able or a.acting_until >= 0 or a.granted > a.reached:
+            return False
+        w = a.pending[0]
+        return not self._must_turn(a, w) and self.order[w][0] == agv and w not in self.closed
+
+    def _rotate(self, ring: Collection[AgvNumber], commands: list[Command]) -> None:
+        """Let each AGV of a ring enter the vertex of the next one, all in this tick."""
+        for agv in ring:
+            a = self.agvs[agv]
+            w = a.pending[0]
+            self.order[w].popleft()
+            self._enter(agv, w)
+            a.first += 1
+            a.trail.popleft()
+            self.owner[w] = agv
+            self.moves[agv] += 1
+            commands.append(Advance(agv, (w,)))
 
     def _claim(self, agv: AgvNumber, vertex: Vertex) -> bool:
         if self.owner[vertex] not in (-1, agv) or self.order[vertex][0] != agv or vertex in self.closed:

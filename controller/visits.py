@@ -32,7 +32,7 @@ class Refusal:
     """Why a plan is not carried out.
 
     Attributes:
-        kind: "form", "start", "edge", "conflict" or "cycle".
+        kind: "form", "start", "edge", "conflict" or "swap".
         agents: the AGVs concerned.
         vertex: where.
         reason: in words.
@@ -93,8 +93,9 @@ def visiting_order(
     """Order the visits of each vertex by the plan's times.
 
     Two visits of one vertex must not overlap in time: then every wait points back in time, so that the orders have no
-    cycle and any delay only delays. Where following is allowed a ring of AGVs could still wait for one another in one
-    and the same step; that is looked for as well.
+    cycle and any delay only delays. Where following is allowed, AGVs in a ring may each enter the vertex that the next
+    one leaves in one and the same step: three or more move on together, when all of them are ready. Two that would
+    change places are refused.
 
     Args:
         paths: by AGV number.
@@ -124,9 +125,9 @@ def visiting_order(
         return Refusal("conflict", (a, b), v, reason)
     if motion.following:
         at_once = np.flatnonzero(others & (left[:-1] == entered[1:]))
-        ring = _ring(in_order[at_once], in_order[at_once + 1], rows, len(vertices))
-        if ring:
-            return ring
+        swap = _swap(in_order[at_once], in_order[at_once + 1], rows, len(vertices))
+        if swap:
+            return swap
     moves = np.ones(len(vertex), dtype=bool)
     moves[np.isin(in_order, [*first[:-1], *range(len(vertices), len(rows.vertex))])] = False
     return _queues(vertex[moves], agv[moves])
@@ -200,8 +201,8 @@ def _rows(
     return _Rows(*(np.concatenate(parts) for parts in zip(moving, stays, strict=True)))
 
 
-def _ring(before: Longs, after: Longs, rows: _Rows, moving: int) -> Refusal | None:
-    """A ring of AGVs that would all move on in one step, each into the vertex the next one leaves (or a swap).
+def _swap(before: Longs, after: Longs, rows: _Rows, moving: int) -> Refusal | None:
+    """Two AGVs that would change places in one step.
 
     Args:
         before, after: numbers of visits; the second enters in the very step in which the first leaves.
@@ -210,29 +211,12 @@ def _ring(before: Longs, after: Longs, rows: _Rows, moving: int) -> Refusal | No
     """
     needed = np.full(moving + 1, -1, dtype=np.int64)  # whose arrival depends on this one's
     needed[before[before < moving] + 1] = after[before < moving]
-    k = _on_ring(needed)
-    if k < 0:
+    pairs = np.flatnonzero((needed >= 0) & (needed[needed] == np.arange(len(needed))))
+    if not len(pairs):
         return None
-    ring = [k]
-    while needed[ring[-1]] != k:
-        ring.append(int(needed[ring[-1]]))
-    members = tuple(sorted({AgvNumber(int(rows.agv[i])) for i in ring}))
-    vertex = Vertex(int(rows.vertex[min(ring, key=lambda i: (rows.agv[i], i))]))
-    return Refusal("cycle", members, vertex, f"AGVs {members} would have to move on in a ring")
-
-
-@njit(cache=True)
-def _on_ring(following: Longs) -> int:
-    """Any number that one comes back to by going on from number to number; -1 if there is none."""
-    seen = np.zeros(len(following), dtype=np.int64)
-    for root in range(len(following)):
-        k = root
-        while k >= 0 and seen[k] == 0:
-            seen[k] = root + 1
-            k = following[k]
-        if k >= 0 and seen[k] == root + 1 and following[k] >= 0:
-            return int(k)
-    return -1
+    k = min((int(i) for i in pairs), key=lambda i: (rows.agv[i], i))
+    a, b = AgvNumber(int(rows.agv[k])), AgvNumber(int(rows.agv[needed[k]]))
+    return Refusal("swap", (a, b), Vertex(int(rows.vertex[k])), f"AGVs {a} and {b} would have to change places")
 
 
 def _queues(vertex: Longs, agv: Longs) -> dict[Vertex, deque[AgvNumber]]:
@@ -280,6 +264,59 @@ def retime(executor: Executor, step: int) -> dict[AgvNumber, Path]:
     }
 
 
+@kernel
+def _turn_ring(
+    i: int, stack: Longs, size: int, way: Longs, first: Longs, done: Longs, here: Longs, now: Longs, clock: Longs,
+    occupant: Longs, turn: Longs, queue: Longs, arrive: Longs, depart: Longs, floor: _Floor,
+) -> int:  # fmt: skip
+    """Move a ring of three or more on at once if ``i`` closes one; its members go on the stack, whose size is returned.
+
+    Each enters the vertex of the next one, as the first in its order. All arrive in one step.
+    """
+    members, latest, j = 0, 0, i
+    while True:
+        if first[j] + done[j] == first[j + 1]:
+            return size
+        w = way[first[j] + done[j]]
+        if turn[w, 0] == turn[w, 1] or queue[turn[w, 0]] != j or occupant[w] < 0 or members > len(here):
+            return size
+        latest = max(latest, _earliest(j, w, done[j] == 0, here, now, clock, floor))
+        members += 1
+        j = occupant[w]
+        if j == i:
+            break
+    if members < 3:
+        return size
+    for _ in range(members):
+        k = first[j] + done[j]
+        w = way[k]
+        edge = _edge(here[j], w, floor)
+        ahead = occupant[w]
+        arrive[k], depart[k] = latest, latest - floor.edge_steps[now[j, 2], edge]
+        clock[j], now[j, 0] = latest, edge
+        turn[w, 0] += 1
+        done[j] += 1
+        stack[size] = j
+        size += 1
+        j = ahead
+    for k in range(size - members, size):
+        j = stack[k]
+        here[j] = way[first[j] + done[j] - 1]
+        occupant[here[j]] = j
+    return size
+
+
+@kernel
+def _earliest(j: int, w: int, first_move: bool, here: Longs, now: Longs, clock: Longs, floor: _Floor) -> int:
+    """First step at which an AGV can be on the next vertex of its way, if that is free."""
+    in_edge, turned_to, loaded = now[j, 0], now[j, 1], now[j, 2]
+    edge = _edge(here[j], w, floor)
+    leave = clock[j]
+    if in_edge >= 0 and not (first_move and turned_to == w):
+        leave += floor.turn_steps[loaded, floor.first_transition[in_edge] + edge - floor.first_out[here[j]]]
+    return leave + floor.edge_steps[loaded, edge]
+
+
 @njit(cache=True)
 def _drive(
     way: Longs, first: Longs, here: Longs, now: Longs, clock: Longs, free_at: Longs, turn: Longs, queue: Longs,
@@ -296,23 +333,24 @@ def _drive(
     while size > 0:
         size -= 1
         i = stack[size]
-        in_edge, turned_to, loaded = now[i, 0], now[i, 1], now[i, 2]
         while first[i] + done[i] < first[i + 1]:
             k = first[i] + done[i]
             u, w = here[i], way[k]
             mine = turn[w, 0] < turn[w, 1] and queue[turn[w, 0]] == i
-            if not mine or (free_at[w] == FOREVER and occupant[w] != i):
+            if not mine:
+                break
+            if free_at[w] == FOREVER and occupant[w] != i:
+                if following:
+                    size = _turn_ring(i, stack, size, way, first, done, here, now, clock, occupant, turn, queue,
+                                      arrive, depart, floor)  # fmt: skip
                 break
             free = free_at[w] if occupant[w] != i else 0
             edge = _edge(u, w, floor)
-            leave = clock[i]
-            if in_edge >= 0 and not (done[i] == 0 and turned_to == w):
-                leave += floor.turn_steps[loaded, floor.first_transition[in_edge] + edge - floor.first_out[u]]
-            drive = floor.edge_steps[loaded, edge]
+            drive = floor.edge_steps[now[i, 2], edge]
+            leave = _earliest(i, w, done[i] == 0, here, now, clock, floor) - drive
             leave = max(leave, free - drive if following else free)
             depart[k], arrive[k] = leave, leave + drive
             clock[i] = leave + drive
-            in_edge = edge
             now[i, 0] = edge
             here[i] = w
             turn[w, 0] += 1

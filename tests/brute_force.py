@@ -56,16 +56,10 @@ def _drive(edge: int, left: int, problem: PlanningProblem, agent: PlanAgent) -> 
         yield ("done", w), (u, w), mine
 
 
-def has_ring(moves: Iterable[tuple[int, int]]) -> bool:
-    """Whether moves completed in one step form a closed ring (a swap is a ring of two)."""
+def has_swap(moves: Iterable[tuple[int, int]]) -> bool:
+    """Whether two of the moves completed in one step change places."""
     ahead = dict(moves)
-    for start in ahead:
-        v = start
-        for _ in ahead:
-            v = ahead.get(v, -1)
-            if v == start:
-                return True
-    return False
+    return any(ahead.get(head) == tail for tail, head in ahead.items())
 
 
 def _clash(parts: Iterable[Iterable[int]], taken: set[int]) -> bool:
@@ -127,13 +121,13 @@ def optimum(problem: PlanningProblem) -> int | None:
                 continue
             moves = [move for _, move, _ in chosen if move]
             moves += [move for _, move in fixed[later] if move and t < horizon]
-            if not (following and has_ring(moves)):
+            if not (following and has_swap(moves)):
                 heapq.heappush(OPEN, (cost + len(states) - len(done), next(tie), later, new))
     return None
 
 
 def simulate(paths: list[Path], motion: Motion, until: int) -> set[tuple[int, frozenset[int]]]:
-    """(step, pair) where two begin to share a vertex, and (step, members) of every ring, looked for step by step."""
+    """(step, pair) where two begin to share a vertex or change places, looked for step by step."""
     found: set[tuple[int, frozenset[int]]] = set()
     before: set[tuple[int, int, int, int, int]] = set()
     for t in range(until):
@@ -149,15 +143,8 @@ def simulate(paths: list[Path], motion: Motion, until: int) -> set[tuple[int, fr
         found |= {(t, frozenset((a, b))) for _, a, _, b, _ in shared - before}
         before = shared
         if motion.following:
-            ahead = {move[0]: (a, move[1]) for a, (_, move) in rows.items() if move}
-            for start in ahead:
-                members, v = [], start
-                while v in ahead and len(members) <= len(ahead):
-                    members.append(ahead[v][0])
-                    v = ahead[v][1]
-                    if v == start:
-                        found.add((t, frozenset(members)))
-                        break
+            done = [(a, move) for a, (_, move) in rows.items() if move]
+            found |= {(t, frozenset((a, b))) for a, move in done for b, other in done if move == other[::-1]}
     return found
 
 

@@ -140,16 +140,15 @@ def test_the_order_at_a_place_outlasts_a_delay():
     ("graph", "starts", "paths", "kind", "reason"),
     [
         (CROSS, "nw", {0: "nxs", 1: "wxe"}, "conflict", "AGVs 0 and 1 both plan to be on x"),
-        (LINE, "ab", {0: "ab", 1: "ba"}, "cycle", "AGVs (0, 1) would have to move on in a ring"),
-        (LINE, "ad", {0: "abcd", 1: "dcba"}, "cycle", "AGVs (0, 1) would have to move on in a ring"),
+        (LINE, "ab", {0: "ab", 1: "ba"}, "swap", "AGVs 0 and 1 would have to change places"),
+        (LINE, "ad", {0: "abcd", 1: "dcba"}, "swap", "AGVs 0 and 1 would have to change places"),
         (LINE, "ac", {0: "abc", 1: "cba"}, "conflict", "AGVs 0 and 1 both plan to be on b"),
-        (RING, "abcd", {0: "ab", 1: "bc", 2: "cd", 3: "da"}, "cycle", "(0, 1, 2, 3) would have to move on in a ring"),
         (RING, "ab", {0: "abc"}, "conflict", ""),
         (RING, "a", {0: "ac"}, "edge", "no lane from a to c"),
         (RING, "a", {0: "ad"}, "edge", "no lane from a to d"),
         (RING, "a", {0: "bc"}, "start", "does not start where the authority ends"),
     ],
-    ids=["crossing", "swap", "meeting between", "meeting at", "ring", "rest in the way", "jump", "one-way", "start"],
+    ids=["crossing", "swap", "meeting between", "meeting at", "rest in the way", "jump", "one-way", "start"],
 )
 def test_what_cannot_be_driven_is_refused_with_the_reason(graph, starts, paths, kind, reason):
     drive = Drive.of(graph, classic(graph), [graph.index[name] for name in starts])
@@ -165,6 +164,26 @@ def test_what_cannot_be_driven_is_refused_with_the_reason(graph, starts, paths, 
     assert orders(drive.executor) == before
     drive.run([])
     assert drive.ends == [graph.index[name] for name in starts]
+
+
+@pytest.mark.parametrize("late", [(), (2,)], ids=["in time", "one late"])
+def test_a_full_ring_moves_on_as_one_when_all_are_ready(late):
+    drive = Drive.of(RING, classic(RING), [RING.index[name] for name in "abcd"])
+    plan = {n: way(RING, n, names) for n, names in enumerate(("abc", "bcd", "cda", "dab"))}
+    assert drive.executor.accept(plan) is None
+    timed = retime(drive.executor, 0)
+    assert {n: (p.arrive, p.depart) for n, p in timed.items()} == dict.fromkeys(range(4), ((0, 1, 2), (0, 1)))
+    for _ in range(5 if late else 0):
+        drive.once(busy=late)
+        assert drive.ends == [RING.index[name] for name in "abcd"], "nobody moves while one of them is not ready"
+    drive.run([])
+    assert drive.ends == [RING.index[name] for name in "cdab"]
+
+
+def test_bodies_never_move_on_in_a_ring():
+    plan = {n: way(RING, n, names) for n, names in enumerate(("ab", "bc", "cd", "da"))}
+    refusal = Executor(RING, bodies(RING), [RING.index[name] for name in "abcd"]).accept(plan)
+    assert isinstance(refusal, Refusal)
 
 
 def test_bodies_that_need_both_places_cannot_follow_at_once():

@@ -5,7 +5,7 @@ one agent under its constraints with the same single-agent search as WHCA*, whic
 
 Two ways to split a conflict at a vertex:
 - by the step (default): the vertex is forbidden at the first step at which both own it, to one agent in each child.
-  Complete in the sense of the paper, and optimal; a swap or ring is forbidden move by move, one child per agent.
+  Complete in the sense of the paper, and optimal; of a swap one child forbids either agent its move.
 - by the whole stay (``CbsLimits.ranges``): each child forbids one agent the vertex while the other one is there. With
   moves of ten steps a conflict takes one split instead of ten; neither optimal nor complete.
 
@@ -23,7 +23,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import count
 
-from controller.conflicts import find_conflicts, ring_of
+from controller.conflicts import find_conflicts
 from controller.planners.whca import Round
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
@@ -246,8 +246,11 @@ def _split(problem: PlanningProblem, node: _Node, ranges: bool) -> Iterator[Cons
     """The constraints of a node's children, one each, from its earliest conflict."""
     conflict = node.conflicts[0]
     stays = [_stay(node.paths[agv], conflict, problem.motion.following) for agv in conflict.agents]
-    if conflict.kind in ("swap", "cycle") and problem.motion.following and None in stays:
-        for agv, tail, head in ring_of(node.paths.values(), conflict):
+    if conflict.kind == "swap" and problem.motion.following and None in stays:
+        for agv in conflict.agents:
+            path = node.paths[agv]
+            k = path.arrive.index(conflict.step)
+            tail, head = path.vertices[k - 1 : k + 1]
             edge = problem.graph.edge_index[tail, head]
             yield Constraint(agv, head, conflict.step, conflict.step + 1, edge)
         return

@@ -14,12 +14,10 @@ after ``nodes`` nodes. A problem without a solution so far is planned as by WHCA
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from controller.conflicts import find_conflicts, ring_of
 from controller.planners.whca import Round
 from controller.search.distances import Distances
 from controller.search.groups import Group, empty_group, load, unload, with_path
@@ -183,20 +181,7 @@ class _Tree:
             i, j = divmod(k, len(self.agents))
             if meets[i, j] < FOREVER:
                 return i, j
-        return next(self._rings(N), None) if self.problem.motion.following else None
-
-    def _rings(self, N: _Node) -> Iterator[tuple[int, int]]:
-        """Two without an order in a ring of moves: three or more that each enter what the next one leaves."""
-        paths = [path for path in N.paths if path is not None]
-        number = {int(agv): i for i, agv in enumerate(self.agvs)}
-        for conflict in find_conflicts([*paths, *self.problem.fixed], self.problem.motion, self.window):
-            if conflict.kind == "cycle":
-                members = [agv for agv, _, _ in ring_of([*paths, *self.problem.fixed], conflict)]
-                ring = sorted(number[agv] for agv in members if agv in number)
-                for a in ring:
-                    for b in ring:
-                        if a < b and not (N.above[a] >> b & 1 or N.above[b] >> a & 1):
-                            yield a, b
+        return None
 
 
 def _members(bits: int) -> IntArray:

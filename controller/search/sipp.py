@@ -16,8 +16,7 @@ a state whose distance is not known yet goes by its bound, dearer by the slack, 
 little detour by known states then does not set off a search of everything around.
 
 Departures from the papers: turns take time before a departure; with ``following`` False an agent owns both ends of an
-edge while it drives; with ``following`` True a move that would close a ring of agents, each entering the vertex that
-the next one leaves in the same step (a swap is the ring of two), is not allowed.
+edge while it drives; with ``following`` True two agents may not swap their vertices in one step.
 Guarantee: the path of least f, with slack at most so much more, or none if there is none. Ties: smaller f, exact h
 before a bound, larger g, the older state.
 """
@@ -337,7 +336,7 @@ def _sipp(
                     break
                 if a >= end:
                     continue
-                if query[Q_FOLLOWING] and a == last and a == begin and _closes_ring(rows, count, v, w, a):
+                if query[Q_FOLLOWING] and a == last and a == begin and _swaps(rows, count, v, w, a):
                     continue
                 if meta[NODES] == nodes.shape[0]:
                     return FULL
@@ -420,18 +419,11 @@ def _after_bans(bans: IntArray, edge: int, step: int) -> int:
 
 
 @kernel
-def _closes_ring(rows: IntArray, count: IntArray, v: int, w: int, step: int) -> bool:
-    """Whether whoever leaves ``w`` at this step makes room, through others or not, for one who enters ``v`` then."""
-    for _ in range(rows.shape[0]):
-        after = -1
-        for k in range(count[w]):
-            if rows[w, k, END] == step:
-                after = rows[w, k, NEXT]
-        if after < 0:
-            return False
-        if after == v:
+def _swaps(rows: IntArray, count: IntArray, v: int, w: int, step: int) -> bool:
+    """Whether the agent that leaves ``w`` at this step enters ``v``."""
+    for k in range(count[w]):
+        if rows[w, k, END] == step and rows[w, k, NEXT] == v:
             return True
-        w = after
     return False
 
 
