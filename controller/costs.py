@@ -30,6 +30,7 @@ class Costs:
         max_bytes: memory for tables; the one not used for longest goes first. There should be room for one an AGV.
 
     Attributes:
+        blocked: see above.
         expanded: vertices expanded so far.
     """
 
@@ -41,7 +42,7 @@ class Costs:
         first = np.searchsorted(graph.head[into], np.arange(len(graph.names) + 1)).astype(np.int32)
         self._into = (first, graph.tail[into], motion.edge_steps[0][into])
         self._out_of = (graph.first_out, graph.head, motion.edge_steps[0])
-        self._blocked = blocked
+        self.blocked = blocked
         self._open = np.zeros_like(blocked)
         self._slots = np.zeros_like(blocked)
         self._slots[list(graph.slots)] = 1
@@ -98,9 +99,37 @@ class Costs:
         A blocked vertex may be where a way ends. ``FOREVER`` where there is no way.
         """
         table: IntArray
-        table, expanded = _dijkstra(start, self._blocked if blocked is None else blocked, *self._out_of)
+        table, expanded = _dijkstra(start, self.blocked if blocked is None else blocked, *self._out_of)
         self.expanded += expanded
         return table
+
+    def way(self, start: Vertex, goal: Vertex, walls: NDArray[np.uint8]) -> list[Vertex]:
+        """The vertices of a shortest way, turns left out, that passes no wall; without the start, empty if none."""
+        way = _descend(start, goal, self.to(goal), walls, *self._out_of)
+        if not len(way):
+            table, expanded = _dijkstra(goal, walls, *self._into)
+            self.expanded += expanded
+            way = _descend(start, goal, table, walls, *self._out_of)
+        return [Vertex(v) for v in way.tolist()]
+
+
+@njit(cache=True)
+def _descend(start, goal, to, walls, first, heads, steps):  # type: ignore[no-untyped-def]
+    """From vertex to vertex so that the steps to the goal fall by those of each lane; empty if walls are in the way."""
+    way = np.empty(len(to), dtype=np.int64)
+    size, v = 0, start
+    while v != goal and to[v] < FOREVER:
+        ahead = -1
+        for k in range(first[v], first[v + 1]):
+            u = heads[k]
+            if (u == goal or not walls[u]) and to[u] + steps[k] == to[v] and (ahead < 0 or u < ahead):
+                ahead = u
+        if ahead < 0:
+            break
+        v = ahead
+        way[size] = v
+        size += 1
+    return way[:size] if v == goal else way[:0]
 
 
 @njit(cache=True)

@@ -231,11 +231,13 @@ class Planning:
         ex, locked = self._executor, self._ladder.locked
         immobile = {agv.number for agv in self._agvs if agv.immobile}
         fixed = trails(ex, step, immobile)
+        window = FOREVER if self._complete else self._window * self._rules.cell_steps
         if locked or immobile or self._complete:
-            timed = retime(ex, step)
+            # who rests at the end of a window goes on in the next one: nobody's way ends there
+            leaving = {} if self._complete else {agv.number: window for agv in self._agvs}
+            timed = retime(ex, step, {n: t for n, t in leaving.items() if n not in locked | immobile})
             fixed += [path for n, path in timed.items() if self._complete or n in locked or n in immobile]
         agents = tuple(self._agent(agv, step) for agv in self._to_plan())
-        window = FOREVER if self._complete else self._window * self._rules.cell_steps
         carrying: tuple[PlanAgent, ...] = ()
         if self._improves:
             given = {*locked, *(agent.agv for agent in agents)}
@@ -264,9 +266,9 @@ class Planning:
 
     def _watch(self, step: int, problem: PlanningProblem) -> None:
         """Look for deadlock among those who really wait, adapt the window, and have deadlocks resolved."""
-        waits = wait_graph(self._executor, self._agvs, self._costs)
+        waits = wait_graph(self._executor, self._agvs, self._costs, self._ladder.locked)
         cut_off = find_cut_off(self._executor, self._agvs, self._costs, problem.blocked)
-        self._progress.update(step, cut_off.by_fault)
+        self._progress.update(step, cut_off.by_fault | self._ladder.concerned)
         self._adapt(waits)
         self._ladder.step(step, waits, lambda: self._whole(step, problem), cut_off)
 

@@ -227,12 +227,14 @@ def _queues(vertex: Longs, agv: Longs) -> dict[Vertex, deque[AgvNumber]]:
     return {v: deque(agvs[a:b]) for v, a, b in zip(vertex[starts].tolist(), starts, ends, strict=True)}
 
 
-def retime(executor: Executor, step: int) -> dict[AgvNumber, Path]:
+def retime(executor: Executor, step: int, leaving: Mapping[AgvNumber, int] | None = None) -> dict[AgvNumber, Path]:
     """When each AGV will be where if the accepted orders are carried out without delay from now on.
 
     Args:
         executor: with its accepted orders.
         step: now; the result counts from it.
+        leaving: AGVs that will have a further plan when theirs has come to its end, and from which step on they may
+            be expected to leave its last vertex.
 
     Returns:
         A path for every AGV, from the end of its authority along its pending vertices. An AGV whose way is closed by
@@ -253,8 +255,9 @@ def retime(executor: Executor, step: int) -> dict[AgvNumber, Path]:
     turn = np.zeros((n, 2), dtype=np.int64)  # of each vertex's queue: next one in turn, and end
     turn[list(executor.order)] = np.column_stack((queues[:-1], queues[1:]))
     queue = _longs(executor.order.values())
+    rest_until = np.array([(leaving or {}).get(agv, FOREVER) for agv in numbers(agvs)], dtype=np.int64)
     arrive, depart, done = _drive(
-        way, first, here, now, clock, free_at, turn, queue, executor.motion.following,
+        way, first, here, now, clock, rest_until, free_at, turn, queue, executor.motion.following,
         _floor(executor.graph, executor.motion),
     )  # fmt: skip
     v, t, d = way.tolist(), arrive.tolist(), depart.tolist()
@@ -314,20 +317,20 @@ def _earliest(j: int, w: int, first_move: bool, here: Longs, now: Longs, clock: 
     leave = clock[j]
     if in_edge >= 0 and not (first_move and turned_to == w):
         leave += floor.turn_steps[loaded, floor.first_transition[in_edge] + edge - floor.first_out[here[j]]]
-    return leave + floor.edge_steps[loaded, edge]
+    return int(leave + floor.edge_steps[loaded, edge])
 
 
 @njit(cache=True)
 def _drive(
-    way: Longs, first: Longs, here: Longs, now: Longs, clock: Longs, free_at: Longs, turn: Longs, queue: Longs,
-    following: bool, floor: _Floor,
+    way: Longs, first: Longs, here: Longs, now: Longs, clock: Longs, rest_until: Longs, free_at: Longs, turn: Longs,
+    queue: Longs, following: bool, floor: _Floor,
 ) -> tuple[Longs, Longs, Longs]:  # fmt: skip
     """Drive everybody as far as the orders allow: arrivals and departures on ``way``, and how many of each."""
     arrive, depart = np.zeros(len(way), dtype=np.int64), np.zeros(len(way), dtype=np.int64)
     done = np.zeros(len(here), dtype=np.int64)
     occupant = np.full(len(free_at), -1, dtype=np.int64)
     occupant[here] = np.arange(len(here))
-    stack = np.empty(len(here) + len(way), dtype=np.int64)
+    stack = np.empty(2 * len(here) + len(way), dtype=np.int64)
     stack[: len(here)] = np.arange(len(here))
     size = len(here)
     while size > 0:
@@ -359,5 +362,11 @@ def _drive(
             free_at[u], occupant[u] = clock[i], -1
             if turn[u, 0] < turn[u, 1]:
                 stack[size] = queue[turn[u, 0]]
+                size += 1
+        if first[i] + done[i] == first[i + 1] and rest_until[i] < FOREVER and occupant[here[i]] == i:
+            v = here[i]
+            free_at[v], occupant[v] = max(clock[i], rest_until[i]), -1
+            if turn[v, 0] < turn[v, 1]:
+                stack[size] = queue[turn[v, 0]]
                 size += 1
     return arrive, depart, done

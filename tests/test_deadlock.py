@@ -105,6 +105,7 @@ class Yard:
         self.nobody = np.zeros(len(graph.names), dtype=np.uint8)
         self.costs = Costs(graph, motion, self.nobody)
         self.events: list[tuple[int, str, int, dict[str, Any]]] = []
+        self.resolved: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
         self.step = 0
         options = ControlOptions(period_steps=1, ladder=limits)
         self.planning = Planning(planner, options, self.agvs, self.executor, TICKS.rules(), self.costs, self.log)
@@ -113,7 +114,9 @@ class Yard:
     def log(self, kind: str, agv: int, car: str, vertex: int, detail: dict[str, Any]) -> None:
         self.events.append((self.step, kind, agv, detail))
         if kind == "deadlock_resolved" and detail["stage"] != "replanned":
-            assert self.plant.at[agv] == self.agvs[agv].goal, "resolved, but its leader is not where it wants to be"
+            state = (detail["members"], tuple(self.plant.at))
+            assert state not in self.resolved, "what was resolved has been undone"
+            self.resolved.append(state)
 
     def waits(self) -> WaitGraph:
         return wait_graph(self.executor, self.agvs, self.costs)
@@ -178,10 +181,32 @@ def test_a_chain_behind_one_that_has_something_to_do_is_none(doing):
 
 def test_a_chain_that_ends_at_an_idle_agv_is_one():
     waits = Yard(CORRIDOR, "AE BE CC EA").waits()
-    assert waits.edges == {0: 1, 1: 2}
+    assert waits.edges == {0: 1, 1: 2, 3: 2}, "the free place next to the last one does not hide what is behind it"
     assert waits.rings == ()
-    assert waits.blocked_by_idle == ((2, 0, 1),)
-    assert waits.vertices == {0: CORRIDOR.index["B"], 1: CORRIDOR.index["C"]}
+    assert waits.blocked_by_idle == ((2, 0, 1, 3),)
+    assert waits.vertices == {0: CORRIDOR.index["B"], 1: CORRIDOR.index["C"], 3: CORRIDOR.index["C"]}
+
+
+def test_an_idle_agv_that_one_can_drive_round_is_none():
+    waits = Yard(SQUARE, "AC BB").waits()
+    assert (waits.edges, waits.blocked_by_idle) == ({}, ())
+
+
+def test_one_that_is_driven_back_by_another_one_is_in_a_ring_with_it():
+    """The AGV at C drives on towards E, the one at D gives way to it though it has to go to A."""
+    yard = Yard(CORRIDOR, "BE DA")
+    b, c, d, e = (yard.graph.index[name] for name in "BCDE")
+    assert yard.executor.accept({0: Path(0, (b, c, d), (0, 1, 2), (0, 1)), 1: Path(1, (d, e), (0, 1), (0,))}) is None
+    assert yard.waits().edges == {0: 1, 1: 0}
+    assert yard.waits().rings == ((0, 1),)
+
+
+def test_one_that_gets_out_of_the_way_in_time_is_in_no_ring():
+    yard = Yard(SIDING, "BE DA")
+    b, c, d, s = (yard.graph.index[name] for name in "BCDS")
+    plan = {0: Path(0, (b, c, d), (0, 3, 4), (2, 3)), 1: Path(1, (d, c, s), (0, 1, 2), (0, 1))}
+    assert yard.executor.accept(plan) is None
+    assert yard.waits().rings == ()
 
 
 def test_a_head_on_pair_is_a_ring_of_two_and_one_behind_is_no_member():
@@ -192,7 +217,7 @@ def test_a_head_on_pair_is_a_ring_of_two_and_one_behind_is_no_member():
 
 def test_who_is_promised_a_free_place_first_is_waited_for():
     """Nobody stands on C, but the AGV at D goes there first."""
-    yard = Yard(CORRIDOR, "BC DA")
+    yard = Yard(CORRIDOR, "BC DD")
     motion = yard.executor.motion
     assert motion.following
     b, c, d = (yard.graph.index[name] for name in "BCD")
@@ -261,20 +286,13 @@ def test_who_is_in_the_way_of_any_solution_joins(limits):
     assert yard.executor.moves[2] >= 2
 
 
-PUZZLE = drawn("""
-A-B-C
-| | |
-D-E-F
-""")
-
-
-def test_five_on_six_places_are_sorted_like_a_sliding_puzzle():
+def test_three_in_a_dead_end_are_sorted_like_a_sliding_puzzle():
     """Whoever leads has to give way first: one leader after the other is not enough."""
-    yard = Yard(PUZZLE, "AD BC CA DF EB", NO_CBS)
-    assert yard.run(100)
-    assert yard.stages[-1] == "lacam"
-    alone = Yard(PUZZLE, "AD BC CA DF EB", replace(NO_CBS, lacam=LacamOptions(proposals=0)))
-    assert not alone.run(100)
+    yard = Yard(DEEP_SIDING, "DD BS TB", NO_CBS)
+    assert yard.run(60)
+    assert "lacam" in yard.stages
+    alone = Yard(DEEP_SIDING, "DD BS TB", replace(NO_CBS, lacam=LacamOptions(proposals=0)))
+    assert not alone.run(60)
 
 
 @pytest.mark.parametrize("planner", [nobody_moves, None], ids=["nobody moves", "whca"])

@@ -10,10 +10,13 @@ Stages, after the thesis (2025, III-4), each over the reservations of everybody 
 5. *lacam*: when nobody is left who could join, LaCAM* moves all of the group together, as in a sliding puzzle, where a
    leader has to give way as well before it can go on.
 
-A resolution is a plan whose leader reaches its goal. It is carried out to its end before its members are planned for
-again, so that a window cannot undo it. When no stage finds one, or one makes no progress, the deadlock stays open and
-the ladder is climbed again with another leader, until its members move on. The thesis's own program lacks this demand
-for progress.
+A resolution counts only if it is progress that nothing can undo: its leader is an AGV that has not been at its goal
+since the goal was set, and it arrives there. An AGV that was pushed off its goal does not lead while there is another
+one; if there is none, a plan counts that brings the whole group to its goals. A resolution is carried out to its end
+before its members are planned for again, so that a window cannot undo it, and an AGV that stands aside stays there
+until the others have passed. A stage whose plan was carried out in vain is left out the next time. When no stage is
+left, the deadlock stays open and the ladder is climbed again with another leader, until its members move on. The
+thesis's own program lacks this demand for progress.
 
 An *obstruction* is resolved in the same way, but is not counted as a deadlock: a fault is the reason for it. One of its
 members is under tow, or cut off by a fault, and stands in the way of the others.
@@ -28,7 +31,7 @@ from controller.deadlock.cut_off import CutOff
 from controller.deadlock.waits import Progress, WaitGraph
 from controller.executor import Executor
 from controller.fleet import Agv
-from controller.planners.cbs import CbsLimits, cbs
+from controller.planners.cbs import Cbs, CbsLimits
 from controller.planners.lacam import Lacam, LacamOptions
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
@@ -44,7 +47,7 @@ class LadderLimits:
     """Limits of deadlock resolution.
 
     Attributes:
-        patience_steps: a ring of waits must last so long to count as a deadlock.
+        patience_steps: the ladder is climbed again so long after it was climbed in vain.
         stuck_steps: an AGV that came no nearer to its goal for so long is stuck.
         group: partial CBS handles at most so many AGVs.
         cbs: its limits.
@@ -73,6 +76,11 @@ class Deadlock:
         stage: the stage whose plan is being carried out, "" while there is none.
         leader, goal, arrived: the AGV whose arrival is the progress, where it goes, and whether it is there.
         locked: AGVs that still carry the plan out.
+        aside: AGVs that stand aside, with the vertices of their way there: nobody else of the group may want one of
+            them before they may leave.
+        best: sum of the costs to their goals that the AGVs of the plan had come to before it.
+        carried: stage and group of the plan that is, or was last, carried out.
+        in_vain: stages, with the group, whose plan was carried out without progress.
         moved: last step at which one of them made headway, or at which the ladder was climbed in vain.
         granted: vertices granted to the members when last looked at.
         failures: how often the ladder was climbed in vain; each time another leader is tried first.
@@ -88,6 +96,10 @@ class Deadlock:
     goal: Vertex = NO_VERTEX
     arrived: bool = False
     locked: set[AgvNumber] = field(default_factory=set)
+    aside: dict[AgvNumber, frozenset[Vertex]] = field(default_factory=dict)
+    best: int = 0
+    carried: tuple[str, frozenset[AgvNumber]] = ("", frozenset())
+    in_vain: set[tuple[str, frozenset[AgvNumber]]] = field(default_factory=set)
     moved: int = 0
     granted: int = 0
     failures: int = 0
@@ -101,6 +113,11 @@ class Resolution:
     leader: AgvNumber
     paths: Mapping[AgvNumber, Path]
 
+    @property
+    def key(self) -> tuple[str, frozenset[AgvNumber]]:
+        """Stage and group."""
+        return self.stage, frozenset(self.paths)
+
 
 class Ladder:
     """Finds deadlocks in the wait-for graph and has them resolved.
@@ -111,22 +128,26 @@ class Ladder:
         agvs: the fleet, read only.
         progress: since when each AGV has come no nearer to its goal.
         log: takes events.
+
+    Attributes:
+        limits: may change during a run; those of LaCAM* are taken at the start.
     """
 
     def __init__(
         self, limits: LadderLimits, executor: Executor, agvs: Numbered[AgvNumber, Agv], progress: Progress, log: Log
     ) -> None:
-        self._limits = limits
+        self.limits = limits
         self._executor = executor
         self._agvs = agvs
         self._progress = progress
         self._log = log
         space = Space(executor.graph, executor.motion)
-        self._search = PathSearch(Distances(space))
+        distances = Distances(space)
+        self._search = PathSearch(distances)
+        self._cbs = Cbs(distances, limits.cbs)
         self._lacam = Lacam(space, limits.lacam)
         self._table = ReservationTable(len(executor.graph.names), executor.motion.following)
         self._open: list[Deadlock] = []
-        self._seen: dict[tuple[AgvNumber, ...], int] = {}
         self._count = {"deadlock": 0, "obstruction": 0}
 
     @property
@@ -139,6 +160,11 @@ class Ladder:
         """AGVs that carry out a resolution and must not be planned for."""
         return {n for d in self._open for n in d.locked}
 
+    @property
+    def concerned(self) -> set[AgvNumber]:
+        """AGVs that are in a deadlock that is not over yet, or carry out a resolution."""
+        return {n for d in self._open for n in (*d.members, *d.locked)}
+
     def step(self, step: int, waits: WaitGraph, problem: Callable[[], PlanningProblem], cut_off: CutOff) -> None:
         """Look after running resolutions, find new deadlocks and resolve them.
 
@@ -150,17 +176,16 @@ class Ladder:
             cut_off: the AGVs that faults keep from their goals.
         """
         waiting = {n for group in (*waits.rings, *waits.blocked_by_idle) for n in group}
-        waiting.update(self._progress.stuck(step, self._limits.stuck_steps))
-        patience = self._limits.patience_steps
+        waiting.update(self._progress.stuck(step, self.limits.stuck_steps))
         for deadlock in list(self._open):
             if deadlock.stage:
                 self._supervise(deadlock, step)
             elif not waiting.intersection(deadlock.members):
                 deadlock.stage, deadlock.leader = "replanned", deadlock.members[0]
                 self._close(deadlock, step)
-            elif step - deadlock.moved >= patience and not self.locked.intersection(deadlock.members):
+            elif step - deadlock.moved >= self.limits.patience_steps and not self.locked.intersection(deadlock.members):
                 self._resolve(deadlock, step, problem())
-        taken = {n for d in self._open for n in (*d.members, *d.locked)}
+        taken = self.concerned
         for members, cause in self._candidates(step, waits):
             if not taken.intersection(members):
                 deadlock = self._found(self._kind(members, cut_off), members, cause, step, waits)
@@ -171,12 +196,10 @@ class Ladder:
     # --- finding --------------------------------------------------------------------------------------------------
 
     def _candidates(self, step: int, waits: WaitGraph) -> list[tuple[tuple[AgvNumber, ...], str]]:
-        """Groups that have stopped for long enough, with the cause."""
-        patterns = [(ring, "ring") for ring in waits.rings] + [(chain, "idle") for chain in waits.blocked_by_idle]
-        self._seen = {members: self._seen.get(members, step) for members, _ in patterns}
-        found = [(m, cause) for m, cause in patterns if step - self._seen[m] >= self._limits.patience_steps]
+        """Groups that have stopped, with the cause: rings and chains at once, AGVs that are stuck when time is up."""
+        found = [(ring, "ring") for ring in waits.rings] + [(chain, "idle") for chain in waits.blocked_by_idle]
         taken = {n for members, _ in found for n in members}
-        for n in self._progress.stuck(step, self._limits.stuck_steps):
+        for n in self._progress.stuck(step, self.limits.stuck_steps):
             line = self._waiting_line(n, waits)
             if n not in taken and not (len(line) > 1 and self._moves(line[-1])):
                 found.append((line, "stuck"))
@@ -198,7 +221,9 @@ class Ladder:
         return "obstruction" if any(n in held or self._agvs[n].off_duty for n in members) else "deadlock"
 
     def _found(self, kind: str, members: tuple[AgvNumber, ...], cause: str, step: int, waits: WaitGraph) -> Deadlock:
-        since = self._seen.get(members, step - self._limits.stuck_steps)
+        since = step - self.limits.stuck_steps
+        if cause != "stuck":
+            since = min((self._executor.agvs[n].since for n in members if n in waits.edges), default=step)
         deadlock = Deadlock(kind, self._count[kind], members, cause, since)
         self._count[kind] += 1
         wants = {n: self._executor.graph.names[waits.vertices[n]] for n in members if n in waits.vertices}
@@ -228,17 +253,30 @@ class Ladder:
         if granted != deadlock.granted or busy:
             deadlock.granted, deadlock.moved = granted, step
         through = {n for n in deadlock.locked if not ex.agvs[n].pending}
+        wanted = {v for n in deadlock.locked - through for v in ex.agvs[n].pending}
         if deadlock.leader in through:
             deadlock.arrived = ex.agvs[deadlock.leader].last == deadlock.goal
-        deadlock.locked -= through
-        if not deadlock.locked and deadlock.arrived:
+        deadlock.locked -= {n for n in through if wanted.isdisjoint(deadlock.aside.get(n, ()))}
+        if (not deadlock.locked and deadlock.arrived) or self._have_passed(deadlock):
             self._close(deadlock, step)
         elif not deadlock.locked:
-            self._failed(deadlock, deadlock.stage, "the plan was cut short")
-            self._give_up(deadlock, step)
-        elif step - deadlock.moved >= 3 * self._limits.patience_steps:
-            self._failed(deadlock, deadlock.stage, "the plan made no progress")
-            self._give_up(deadlock, step)
+            self._in_vain(deadlock, "the plan was cut short", step)
+        elif step - deadlock.moved >= 3 * self.limits.patience_steps:
+            self._in_vain(deadlock, "the plan made no progress", step)
+
+    def _have_passed(self, deadlock: Deadlock) -> bool:
+        """All together are nearer to their goals than ever before, and nobody wants a place of another one any more."""
+        group = deadlock.carried[1]
+        if deadlock.locked & deadlock.aside.keys() or self._progress.now(group) >= deadlock.best:
+            return False
+        ways = [{self._executor.agvs[n].last, *self._executor.agvs[n].pending} for n in group]
+        return len(set().union(*ways)) == sum(map(len, ways))
+
+    def _in_vain(self, deadlock: Deadlock, reason: str, step: int) -> None:
+        """A plan was carried out without progress: its stage is left out from now on."""
+        self._failed(deadlock, deadlock.stage, reason)
+        deadlock.in_vain.add(deadlock.carried)
+        self._give_up(deadlock, step)
 
     @staticmethod
     def _give_up(deadlock: Deadlock, step: int) -> None:
@@ -270,18 +308,21 @@ class Ladder:
         agents = {a.agv: a for a in problem.agents}
         group = [n for n in deadlock.members if n in agents]
         while group:
+            members = frozenset(group)
             outside = self._outside(group, step, problem)
             whole = replace(problem, fixed=tuple(outside), window_steps=FOREVER)
             resolution, blockers = self._stages(deadlock, [agents[n] for n in group], whole)
             if resolution and self._take(deadlock, resolution, outside, step):
                 return
-            joining = sorted((blockers & agents.keys()) - set(group))
-            if not joining or len(group) + len(joining) > self._limits.widen:
-                joining = [n for n in agents if n not in group] if len(group) < len(agents) else []
+            joining = sorted((blockers & agents.keys()) - members)
+            joining = [n for n in joining if agents[n].goal == agents[n].vertex] or joining
+            if not joining or len(group) + len(joining) > self.limits.widen:
+                joining = [n for n in agents if n not in group]
             if not joining:
                 self._failed(deadlock, "widen", "nobody else can join")
                 together = self._together(deadlock, [agents[n] for n in group], whole)
                 if not (together and self._take(deadlock, together, outside, step)):
+                    deadlock.in_vain.clear()
                     self._give_up(deadlock, step)
                 return
             group += joining
@@ -298,32 +339,49 @@ class Ladder:
     ) -> tuple[Resolution | None, set[AgvNumber]]:
         blockers: set[AgvNumber] = set()
         by_priority = sorted(group, key=lambda a: (-a.priority, a.agv))
-        movers = [a for a in by_priority if a.goal != a.vertex]
-        shift = deadlock.failures % len(movers) if movers else 0
-        movers = movers[shift:] + movers[:shift]
-        if 2 <= len(group) <= self._limits.group:
-            result = cbs(replace(problem, agents=tuple(group)), self._limits.cbs)
+        leaders = self._leaders(by_priority, deadlock.failures)
+        members = frozenset(a.agv for a in group)
+        if leaders and 2 <= len(group) <= self.limits.group and ("partial_cbs", members) not in deadlock.in_vain:
+            self._cbs.limits = self.limits.cbs
+            result = self._cbs(replace(problem, agents=tuple(group)))
             if len(result.paths) == len(group):
-                return Resolution("partial_cbs", movers[0].agv if movers else group[0].agv, result.paths), blockers
+                return Resolution("partial_cbs", leaders[0].agv, result.paths), blockers
             self._failed(deadlock, "partial_cbs", result.status.value)
         self._search.begin(problem)
         for stage, attempt in (("leader", self._leader), ("pull_over", self._pull_over)):
-            for leader in movers:
+            if (stage, members) in deadlock.in_vain:
+                continue
+            for leader in leaders:
                 paths = attempt(leader, by_priority, problem, blockers)
-                if paths:
+                if paths and self._is_progress(leader, group, paths):
                     return Resolution(stage, leader.agv, paths), blockers
             self._failed(deadlock, stage, "no way for any leader")
         return None, blockers
 
+    def _leaders(self, by_priority: Sequence[PlanAgent], shift: int) -> list[PlanAgent]:
+        """Who may lead: AGVs that have not been at their goal yet, or if there is none those that are not there now."""
+        away = [a for a in by_priority if a.goal != a.vertex]
+        leaders = [a for a in away if not self._progress.has_arrived(a.agv)] or away
+        shift = shift % len(leaders) if leaders else 0
+        return leaders[shift:] + leaders[:shift]
+
+    def _is_progress(self, leader: PlanAgent, group: Iterable[PlanAgent], paths: Mapping[AgvNumber, Path]) -> bool:
+        """The leader was never at its goal before, or the plan brings all to their goals."""
+        return not self._progress.has_arrived(leader.agv) or all(
+            a.agv in paths and paths[a.agv].vertices[-1] == a.goal for a in group
+        )
+
     def _together(self, deadlock: Deadlock, group: list[PlanAgent], problem: PlanningProblem) -> Resolution | None:
         """All move together until as many as possible are at their goals."""
         result = self._lacam.resolve(replace(problem, agents=tuple(group)))
-        there = [a for a in group if a.agv in result.paths and a.goal != a.vertex and a.agv not in result.failed]
-        if not there:
-            self._failed(deadlock, "lacam", result.status.value)
-            return None
-        leader = max(there, key=lambda a: (a.priority, -a.agv))
-        return Resolution("lacam", leader.agv, result.paths)
+        there = [a for a in group if a.agv in result.paths and a.agv not in result.failed]
+        leaders = self._leaders(sorted(there, key=lambda a: (-a.priority, a.agv)), deadlock.failures)
+        if leaders and self._is_progress(leaders[0], group, result.paths):
+            resolution = Resolution("lacam", leaders[0].agv, result.paths)
+            if resolution.key not in deadlock.in_vain:
+                return resolution
+        self._failed(deadlock, "lacam", result.status.value)
+        return None
 
     def _leader(
         self, leader: PlanAgent, group: list[PlanAgent], problem: PlanningProblem, blockers: set[AgvNumber]
@@ -385,6 +443,12 @@ class Ladder:
             self._failed(deadlock, resolution.stage, refusal.reason)
             return False
         deadlock.stage, deadlock.leader = resolution.stage, resolution.leader
+        deadlock.carried = resolution.key
+        deadlock.best = self._progress.best(resolution.paths)
+        ends = {n: self._agvs[n].heads_for for n in resolution.paths}
+        deadlock.aside = {
+            n: frozenset(path.vertices) for n, path in resolution.paths.items() if path.vertices[-1] != ends[n]
+        }
         way = resolution.paths[resolution.leader].vertices
         deadlock.goal, deadlock.arrived = way[-1], len(way) == 1
         deadlock.locked = {n for n, path in resolution.paths.items() if len(path.vertices) > 1}

@@ -1,17 +1,21 @@
-"""Who really waits for whom.
+"""Who waits for whom, over the whole way ahead.
 
-An AGV waits when it stands, has somewhere to go, and the next vertex of its way belongs to another AGV or has been
-promised to another one first. That gives a wait-for graph of what happens, not of what was planned. An AGV that cannot
-move waits for the end of its fault, and for no AGV. Three patterns stop the garage, and all are found here:
+An AGV is *held up* when the plan that was just made takes it no nearer to its goal: it stands without a plan, or it is
+driven back. It waits for the first AGV that will stand on its way when everybody's plan has been carried out, else for
+the first one that holds a vertex of its way now. An AGV that stands and has a plan waits for the AGV that holds the
+next vertex of its plan, or has been promised that vertex first. An AGV that cannot move waits for the end of its fault,
+and for no AGV. Three patterns stop the garage, and all are found here:
 
-- a *ring*: a strongly connected component of two or more (Tarjan, as networkx implements it);
-- a *chain that ends at an AGV without anything to do*: it will not move by itself;
+- a *ring*: a strongly connected component of two or more (Tarjan, as networkx implements it) with one held up. An AGV
+  that drives on closes a ring when the very next vertex after its plan is where another member will stand: of two that
+  meet head-on the one drives the other back, and no timer is needed to see it;
+- a *chain that ends at an AGV without anything to do*: it will not move by itself, and there is no way round it;
 - an AGV that is not kept waiting but has come no nearer to its goal for long (*livelock*): see ``Progress``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Collection, Container, Iterable, Mapping
 from dataclasses import dataclass
 
 import networkx as nx
@@ -19,8 +23,8 @@ import networkx as nx
 from controller.costs import Costs
 from controller.executor import Executor
 from controller.fleet import Agv
-from controller.types import NO_AGV, AgvNumber
-from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex
+from controller.types import FOREVER, NO_AGV, AgvNumber
+from sumo_nets.numbering import Numbered, Vertex, numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +32,8 @@ class WaitGraph:
     """A wait-for graph at one step.
 
     Attributes:
-        edges: for each waiting AGV the one it waits for.
-        vertices: for each waiting AGV the vertex it wants.
+        edges: for each waiting AGV the one it waits for; AGVs that drive on are in it only where they close a ring.
+        vertices: for each of them the vertex concerned.
         rings: strongly connected components of two or more, members in ascending order.
         blocked_by_idle: chains (first the AGV without anything to do) that end at an AGV which will not move.
     """
@@ -40,47 +44,118 @@ class WaitGraph:
     blocked_by_idle: tuple[tuple[AgvNumber, ...], ...]
 
 
-def wanted_vertex(executor: Executor, agv: Agv, costs: Costs) -> Vertex:
-    """The next vertex of an AGV's way: as planned, or else on the shortest way to its goal; -1 if it wants none."""
-    a = executor.agvs[agv.number]
-    if a.pending:
-        return a.pending[0]
-    if agv.goal == a.last:
-        return NO_VERTEX
-    to = costs.to(agv.goal)
-    graph, steps = executor.graph, executor.motion.edge_steps[0]
-    options = [(int(steps[graph.edge_index[a.last, v]] + to[v]), v) for v in graph.successors[a.last]]
-    return min(options)[1] if options else NO_VERTEX
+#: The AGV that another one waits for, and the vertex concerned.
+_Wait = tuple[AgvNumber, Vertex]
 
 
-def wait_graph(executor: Executor, agvs: Numbered[AgvNumber, Agv], costs: Costs) -> WaitGraph:
+def wait_graph(
+    executor: Executor, agvs: Numbered[AgvNumber, Agv], costs: Costs, resolving: Container[AgvNumber] = ()
+) -> WaitGraph:
     """The wait-for graph now.
 
     Args:
         executor: owners and orders of the vertices.
         agvs: the fleet.
-        costs: tells where an AGV without a plan wants to go.
+        costs: finds the ways ahead, round parked cars.
+        resolving: AGVs that carry out the resolution of a deadlock; they wait for nobody.
 
     Returns:
-        Each AGV waits for at most one other, as it wants one vertex at a time.
+        Each AGV waits for at most one other.
     """
-    edges: dict[AgvNumber, AgvNumber] = {}
-    vertices: dict[AgvNumber, Vertex] = {}
-    for agv in agvs:
-        a = executor.agvs[agv.number]
-        if agv.immobile or not a.standing or a.acting_until >= 0 or agv.action is not None:
-            continue
-        w = wanted_vertex(executor, agv, costs)
-        if w < 0:
-            continue
-        other = executor.owner[w]
-        if other in (-1, agv.number):
-            queue = executor.order.get(w)
-            other = queue[0] if queue and agv.number in queue else NO_AGV
-        if other not in (-1, agv.number):
-            edges[agv.number] = other
-            vertices[agv.number] = w
-    return WaitGraph(edges, vertices, rings(edges), _behind_idle(edges, executor, agvs))
+    find = _Waits(executor, agvs, costs)
+    going = [agv for agv in agvs if agv.number not in resolving and find.goes(agv)]
+    held_up = {agv.number for agv in going if find.held_up(agv)}
+    lasting = {agv.number: find.at_the_end(agv, agv.number in held_up) for agv in going} if held_up else {}
+    last = {n: wait for n, wait in lasting.items() if wait}
+    found = tuple(ring for ring in rings({n: other for n, (other, _) in last.items()}) if held_up.intersection(ring))
+    shown = {n: last[n] for ring in found for n in ring}
+    for agv in going:
+        n = agv.number
+        wait = find.before_next(agv) or (last.get(n) or find.now(agv) if n in held_up else None)
+        if wait:
+            shown.setdefault(n, wait)
+    edges = {n: other for n, (other, _) in shown.items()}
+    vertices = {n: v for n, (_, v) in shown.items()}
+    return WaitGraph(edges, vertices, found, _behind_idle(edges, held_up, find.idle))
+
+
+class _Waits:
+    """Finds the AGV that each one waits for.
+
+    Attributes:
+        ends: where each AGV will be when its plan has been carried out.
+        rests: the AGV at each of these places.
+        idle: AGVs without anything to do that stay where they are.
+    """
+
+    def __init__(self, executor: Executor, agvs: Numbered[AgvNumber, Agv], costs: Costs) -> None:
+        self._executor = executor
+        self._costs = costs
+        self.ends: Numbered[AgvNumber, Vertex] = [a.pending[-1] if a.pending else a.last for a in executor.agvs]
+        self.rests: dict[Vertex, AgvNumber] = dict(zip(self.ends, numbers(self.ends), strict=True))
+        self.idle = {agv.number for agv in agvs if self._is_idle(agv)}
+        self._idle_at = {self.ends[n] for n in self.idle}
+        broken = [v for agv in agvs if agv.immobile for v in executor.agvs[agv.number].trail]
+        self._walls = costs.blocked
+        if executor.closed or broken:
+            self._walls = costs.blocked.copy()
+            self._walls[[*executor.closed, *broken]] = 1
+
+    def _is_idle(self, agv: Agv) -> bool:
+        a = self._executor.agvs[agv.number]
+        return a.standing and a.acting_until < 0 and not a.pending and agv.goal == a.last and not agv.immobile
+
+    def goes(self, agv: Agv) -> bool:
+        """It has somewhere to go and does nothing else."""
+        a = self._executor.agvs[agv.number]
+        return not (agv.immobile or a.acting_until >= 0 or agv.action is not None or agv.goal == a.last)
+
+    def held_up(self, agv: Agv) -> bool:
+        """Its plan takes it no nearer to its goal."""
+        a = self._executor.agvs[agv.number]
+        if not a.pending:
+            return a.standing
+        to = self._costs.to(agv.goal)
+        return bool(to[a.pending[-1]] >= to[a.last])
+
+    def before_next(self, agv: Agv) -> _Wait | None:
+        """The AGV that keeps this one from the next vertex of its plan."""
+        a, ex = self._executor.agvs[agv.number], self._executor
+        if not (a.pending and a.standing):
+            return None
+        w = a.pending[0]
+        other = ex.order[w][0] if ex.owner[w] in (NO_AGV, agv.number) else ex.owner[w]
+        return None if other == agv.number else (other, w)
+
+    def at_the_end(self, agv: Agv, held_up: bool) -> _Wait | None:
+        """The first AGV on its way on when all plans have been carried out; only next door if it drives on."""
+        way = self._way(agv)
+        return self._first(agv, way if held_up else way[:1], self._resting)
+
+    def now(self, agv: Agv) -> _Wait | None:
+        """The first AGV that holds a vertex of its way on."""
+        return self._first(agv, self._way(agv), lambda v: self._executor.owner[v])
+
+    def _way(self, agv: Agv) -> list[Vertex]:
+        """From the end of its plan to its goal, round idle AGVs if there is such a way."""
+        end = self.ends[agv.number]
+        way = self._costs.way(end, agv.goal, self._walls)
+        if self._idle_at.isdisjoint(way):
+            return way
+        walls = self._walls.copy()
+        walls[list(self._idle_at)] = 1
+        return self._costs.way(end, agv.goal, walls) or way
+
+    def _resting(self, vertex: Vertex) -> AgvNumber:
+        return self.rests.get(vertex, NO_AGV)
+
+    @staticmethod
+    def _first(agv: Agv, way: Iterable[Vertex], holder: Callable[[Vertex], AgvNumber]) -> _Wait | None:
+        for v in way:
+            other = holder(v)
+            if other not in (NO_AGV, agv.number):
+                return other, v
+        return None
 
 
 def rings(edges: Mapping[AgvNumber, AgvNumber]) -> tuple[tuple[AgvNumber, ...], ...]:
@@ -92,7 +167,7 @@ def rings(edges: Mapping[AgvNumber, AgvNumber]) -> tuple[tuple[AgvNumber, ...], 
 
 
 def _behind_idle(
-    edges: Mapping[AgvNumber, AgvNumber], executor: Executor, agvs: Numbered[AgvNumber, Agv]
+    edges: Mapping[AgvNumber, AgvNumber], held_up: set[AgvNumber], idle: Collection[AgvNumber]
 ) -> tuple[tuple[AgvNumber, ...], ...]:
     chains: dict[AgvNumber, list[AgvNumber]] = {}
     for first in edges:
@@ -100,9 +175,7 @@ def _behind_idle(
         while end in edges and edges[end] not in seen:
             end = edges[end]
             seen.add(end)
-        a = executor.agvs[end]
-        has_nothing_to_do = a.standing and a.acting_until < 0 and not a.pending and agvs[end].goal == a.last
-        if end not in edges and has_nothing_to_do and not agvs[end].immobile:
+        if end in idle and held_up.intersection(seen):
             chains.setdefault(end, [end]).append(first)
     return tuple(tuple(chain) for _, chain in sorted(chains.items()))
 
@@ -131,18 +204,37 @@ class Progress:
         self._agvs = agvs
         self._costs = costs
         self._complete = complete
-        self._best = {agv.number: _Best(agv.goal, 0, 0) for agv in agvs}
+        self._best = {agv.number: _Best(agv.goal, FOREVER, 0) for agv in agvs}
 
-    def update(self, step: int, cut_off: Container[AgvNumber] = ()) -> None:
-        """Take note of where the AGVs are; those ``cut_off`` by a fault wait for its end, which is no deadlock."""
+    def update(self, step: int, excused: Container[AgvNumber] = ()) -> None:
+        """Take note of where the AGVs are.
+
+        Args:
+            step: now.
+            excused: AGVs that are not stuck now: cut off by a fault, or concerned by a deadlock that is not over yet.
+        """
         for agv in self._agvs:
             best, a = self._best[agv.number], self._executor.agvs[agv.number]
             cost = int(self._costs.to(agv.goal)[a.last])
             acting = a.acting_until >= 0 or agv.action is not None or agv.goal == a.last
             planned = self._complete and bool(a.pending) and a.pending[-1] == agv.goal
-            faulty = agv.immobile or agv.off_duty or agv.number in cut_off
-            if acting or planned or faulty or agv.goal != best.goal or cost < best.cost:
-                best.goal, best.cost, best.since = agv.goal, cost, step
+            excuse = agv.immobile or agv.off_duty or agv.number in excused
+            if acting or planned or excuse or agv.goal != best.goal or cost < best.cost:
+                best.since = step
+            if agv.goal != best.goal or cost < best.cost:
+                best.goal, best.cost = agv.goal, cost
+
+    def best(self, group: Iterable[AgvNumber]) -> int:
+        """Sum of the least costs to their goals that AGVs have come to since their goals were set."""
+        return sum(self._best[n].cost for n in group)
+
+    def now(self, group: Iterable[AgvNumber]) -> int:
+        """Sum of the costs to their goals from where AGVs are now."""
+        return sum(int(self._costs.to(self._agvs[n].goal)[self._executor.agvs[n].last]) for n in group)
+
+    def has_arrived(self, n: AgvNumber) -> bool:
+        """The AGV has been at its goal since the goal was set; it may have had to leave again."""
+        return self._best[n].cost == 0
 
     def stuck(self, step: int, steps: int) -> list[AgvNumber]:
         """AGVs that came no nearer to their goal in so many steps."""

@@ -421,10 +421,10 @@ def _after_bans(bans: IntArray, edge: int, step: int) -> int:
 @kernel
 def _swaps(rows: IntArray, count: IntArray, v: int, w: int, step: int) -> bool:
     """Whether the agent that leaves ``w`` at this step enters ``v``."""
+    found = False
     for k in range(count[w]):
-        if rows[w, k, END] == step and rows[w, k, NEXT] == v:
-            return True
-    return False
+        found |= rows[w, k, END] == step and rows[w, k, NEXT] == v
+    return found
 
 
 @njit(cache=True)
