@@ -131,9 +131,9 @@ def why(deadlock: Deadlock) -> str:
     """Why a deadlock arose, in a sentence or two."""
     d = deadlock
     if d.cause == "ring" and len(d.members) == 2:
-        text = "Two AGVs met: each wanted the place that the other one held or was to have first."
+        text = "Two AGVs met: each was in the other one's way, and their plans did not bring them past each other."
     elif d.cause == "ring":
-        text = f"{len(d.members)} AGVs waited in a ring: each wanted a place that the next held or was to have first."
+        text = f"{len(d.members)} AGVs waited in a ring: each was in the way of the one before it."
     elif d.cause == "idle":
         text = f"AGV {d.members[0]} had nothing to do and stood in the way of {_names(d.members[1:])}."
     elif len(d.members) > 1:

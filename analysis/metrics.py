@@ -101,6 +101,7 @@ METRICS: Mapping[str, tuple[str, str]] = {
     "charger_busy_share": ("", "share of the chargers' time in which an AGV charged"),
     "batteries_flat": ("", "times that an AGV stood with an empty battery"),
     "deadlocks_found": ("", "deadlocks detected"),
+    "deadlocks_stuck": ("", "of these, those found as no ring or chain: an AGV came no nearer to its goal for long"),
     "deadlocks_resolved": ("", "deadlocks resolved"),
     "deadlocks_unresolved": ("", "deadlocks found but not resolved"),
     "deadlock_p50_s": ("s", "time from the beginning of the wait to the resolution, median"),
@@ -356,11 +357,13 @@ def _charging(run: Run) -> Metrics:
 
 
 def _deadlocks(run: Run) -> Metrics:
-    found = int((run.events["kind"] == "deadlock_found").sum())
+    causes = run.details("deadlock_found")
+    found = len(causes)
     resolved = run.details("deadlock_resolved")
     cost = resolved["cost_s"].to_numpy(dtype=np.float64) if len(resolved) else np.empty(0)
     return {
         "deadlocks_found": found,
+        "deadlocks_stuck": int((causes["cause"] == "stuck").sum()) if "cause" in causes else 0,
         "deadlocks_resolved": len(resolved),
         "deadlocks_unresolved": found - len(resolved),
         "deadlock_p50_s": _quantile(cost, 0.5),

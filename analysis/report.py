@@ -218,6 +218,15 @@ def _deadlock_line(m: Metrics) -> str:
     found, lost = int(m["deadlocks_found"]), int(m["deadlocks_unresolved"])
     if not found:
         return "No deadlock arose."
+    return f"{_resolved_line(m, found, lost)}{_stuck_line(int(m.get('deadlocks_stuck', 0)))}"
+
+
+def _stuck_line(stuck: int) -> str:
+    """The last net reported apart from rings and chains."""
+    return f" Of these {stuck} showed only when an AGV had come no nearer to its goal for long." if stuck else ""
+
+
+def _resolved_line(m: Metrics, found: int, lost: int) -> str:
     if lost >= found:
         return f"{counted(found, 'deadlock')} arose; none was resolved."
     longest = f", the longest {_span(m['deadlock_max_s'])} after its wait began" if _known(m["deadlock_max_s"]) else ""

@@ -171,8 +171,9 @@ KINDS: Mapping[str, str] = {
     "reordered": "an AGV goes before one that is late: before (its number), gain_moves (of all together)",
     "plan_rejected": "a plan was refused by the executor's check: reason",
     "deadlock_found": "AGVs wait for each other or come no nearer to their goals: deadlock (number), members (AGV "
-    "numbers), cause (ring, idle or stuck), waits (AGV -> AGV it waits for), wants (AGV -> name of the next vertex), "
-    "holds (AGV -> names of its vertices), goals (AGV -> name), since_s (when the wait began)",
+    "numbers), cause (ring, idle or stuck), waits (AGV -> AGV it waits for), wants (AGV -> name of the first vertex "
+    "on its way that is held), holds (AGV -> names of its vertices), goals (AGV -> name), since_s (when the wait "
+    "began)",
     "deadlock_resolved": "a deadlock is over: deadlock, members, cause, stage (what resolved it), "
     "cost_s (seconds since the wait began)",
     "obstruction_found": "an AGV that a fault cuts off from its goal stands in the way of others: obstruction "

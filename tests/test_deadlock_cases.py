@@ -1,0 +1,102 @@
+"""Deadlocks drawn by hand: everybody is at the goal within so many ticks, by the rung that the drawing is made for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from test_deadlock import CORRIDOR, DEEP_SIDING, LIMITS, NO_CBS, RING, SIDING, SQUARE, TICKS, Yard, drawn, nobody_moves
+
+from controller.planners.whca import make_whca
+
+TWO_RINGS = drawn("""
+A>B
+^ v
+D<C>F
+  ^ v
+  H<G
+""")
+
+#: Graph, ways, limits, first cause and members, rungs in their order, ticks at most; nobody moves but by the ladder.
+BY_THE_LADDER = {
+    "a full ring turns": (RING, "AB BC CD DA", LIMITS, "ring", (0, 1, 2, 3), ["partial_cbs"], 2),
+    "a full ring turns twice": (RING, "AC BD CA DB", LIMITS, "ring", (0, 1, 2, 3), ["partial_cbs"], 4),
+    "head-on with a pocket": (SIDING, "BE CA", LIMITS, "ring", (0, 1), ["partial_cbs", "leader"], 25),
+    "a chain of three": (SIDING, "AD BE CC", LIMITS, "idle", (2, 0, 1), ["partial_cbs"], 5),
+    "a chain of three, by pulling over": (SIDING, "AD BE CC", NO_CBS, "idle", (2, 0, 1), ["pull_over"], 5),
+    "an idle AGV, its pocket behind the other one": (SIDING, "AE DD", LIMITS, "idle", (1, 0), ["lacam"], 8),
+    "two rings that share an AGV": (
+        TWO_RINGS, "BF CD DA AB FG GH HC", LIMITS, "ring", (0, 1, 2, 3), ["pull_over", "partial_cbs"], 6,
+    ),
+}  # fmt: skip
+
+#: Graph, ways, ticks at most, and the rungs used, under the planner ``whca``.
+UNDER_WHCA = {
+    "a full ring turns": (RING, "AB BC CD DA", 1, []),
+    "two rings that share an AGV": (TWO_RINGS, "BF CD DA AB FG GH HC", 3, []),
+    "head-on, the pocket between them": (SIDING, "BE DA", 8, ["lacam"]),
+    "a chain of three": (SIDING, "AD BE CC", 3, []),
+    "an idle AGV, its pocket behind the other one": (SIDING, "AE DD", 10, ["lacam"]),
+    "three meet, two of them from one side": (SIDING, "AE BD EA", 25, ["leader", "lacam"]),
+    "three in a dead end": (DEEP_SIDING, "DD BS TB", 16, ["lacam"]),
+}
+
+
+@pytest.mark.parametrize("name", BY_THE_LADDER)
+def test_the_ladder_alone(name):
+    graph, ways, limits, cause, members, rungs, ticks = BY_THE_LADDER[name]
+    yard = Yard(graph, ways, limits)
+    assert yard.run(ticks), f"not at the goals after {ticks} ticks"
+    first = yard.of_kind("deadlock_found")[0]
+    assert (first["cause"], first["members"], first["since_s"]) == (cause, members, 0.0)
+    assert yard.events[0][0] == 0, "found at once"
+    assert yard.stages == rungs
+
+
+@pytest.mark.parametrize("name", UNDER_WHCA)
+def test_with_whca(name):
+    graph, ways, ticks, rungs = UNDER_WHCA[name]
+    yard = Yard(graph, ways, LIMITS, make_whca(graph, TICKS.motion(graph, "whca")))
+    assert yard.run(ticks), f"not at the goals after {ticks} ticks"
+    assert yard.stages == rungs
+    assert all(d["cause"] != "stuck" for d in yard.of_kind("deadlock_found"))
+
+
+def test_the_leader_drives_round_who_keeps_its_place():
+    yard = Yard(SQUARE, "AC BD", NO_CBS)
+    yard.tick()
+    assert [d["stage"] for d in yard.of_kind("stage_failed")] == []
+    assert yard.planning.resolving
+    assert yard.run(40)
+    assert yard.stages[0] == "leader"
+
+
+def test_an_idle_agv_stands_aside_until_both_others_have_passed():
+    """The idle one at C may not come back from S between the two that pass."""
+    yard = Yard(SIDING, "AD BE CC", NO_CBS)
+    passed, back = {}, None
+    at_c = yard.graph.index["C"]
+    while not yard.run(yard.step + 1):
+        for n in (0, 1):
+            if yard.plant.at[n] == at_c:
+                passed[n] = yard.step
+        if passed and yard.plant.at[2] == at_c:
+            back = yard.step
+        assert yard.step < 10
+    assert back is None or back > max(passed.values())
+    assert set(passed) == {0, 1}
+
+
+def test_without_a_pocket_nothing_is_called_resolved():
+    """An idle AGV at the end of a corridor can't let anybody pass; driving to and fro is no resolution."""
+    yard = Yard(CORRIDOR, "AE DD", LIMITS, make_whca(CORRIDOR, TICKS.motion(CORRIDOR, "whca")))
+    assert not yard.run(100)
+    assert yard.stages == []
+    assert yard.planning.resolving
+
+
+def test_limits_may_change_during_a_run():
+    yard = Yard(RING, "AB BC CD DA", replace(LIMITS, group=1), nobody_moves)
+    yard.planning._ladder.limits = LIMITS
+    assert yard.run(3)
+    assert yard.stages == ["partial_cbs"]
