@@ -77,6 +77,13 @@ def test_a_wait_edge_leads_to_the_holder_of_a_cell_within_the_next_h():
         assert list(waits) == edges
 
 
+@pytest.mark.parametrize("sidestep", [True, False])
+def test_four_in_a_ring_move_on_at_once(sidestep):
+    ring = ["0,0", "1,0", "1,1", "0,1"]
+    trips = list(zip(ring, ring[1:] + ring[:1], strict=True))
+    assert drive(["..", ".."], trips, sidestep=sidestep)[0] == 1
+
+
 def test_head_on_in_two_lanes_the_second_one_changes_lane_or_cbs_does_it():
     trips = [("0,0", "6,0"), ("6,0", "0,0")]
     moves, stages, _ = drive(["......."] * 2, trips)

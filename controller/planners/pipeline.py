@@ -29,8 +29,7 @@ Departures from the program:
   one, in order of their numbers.
 - The others pull over only if one of them stands in the leader's way, and not to where another one still stands.
 - Of two that meet in the end the one of lower priority stays. In the program one that brings a car goes before one on
-  its way home without a car, whatever their priorities. Nobody moves to a place that is not left in the same step, and
-  rings are not closed.
+  its way home without a car, whatever their priorities. Nobody moves to a place that is not left in the same step.
 - Fixed paths are reserved as a whole, since they are no plans of this planner. Where bodies need both places while they
   drive (``Motion.following`` False) a place that is being left is not entered.
 """
@@ -313,7 +312,7 @@ def settle(
 
 
 def _loser(problem: PlanningProblem, order: Sequence[PlanAgent], paths: Mapping[AgvNumber, Path]) -> PlanAgent | None:
-    """An agent that has to stay: its cell is taken, or is not left in this very step, or it closes a ring."""
+    """An agent that has to stay: its cell is taken, or is not left in this very step, or it swaps."""
     taken = {v for path in problem.fixed for v in path.vertices}
     at = {agent.vertex: agent for agent in order}
     heads = {agent.agv: paths[agent.agv].vertices[1] for agent in order if len(paths[agent.agv].vertices) > 1}
@@ -329,7 +328,7 @@ def _loser(problem: PlanningProblem, order: Sequence[PlanAgent], paths: Mapping[
         while ahead and ahead not in line:
             line.append(ahead)
             ahead = at.get(heads.get(ahead.agv, NO_VERTEX))
-        if ahead == agent:
+        if ahead == agent and len(line) == 2:
             return max(line, key=order.index)
     return None
 
