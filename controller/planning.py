@@ -122,6 +122,7 @@ class Planning:
         self._complete = bool(getattr(planner, "complete", False))
         self.rests = self._complete and bool(getattr(planner, "rests", False))
         self._improves = self._complete and bool(getattr(planner, "improves", False))
+        self._keeps = not self._complete and bool(getattr(planner, "keeps", False))
         self._options = options
         self._agvs = agvs
         self._executor = executor
@@ -232,17 +233,22 @@ class Planning:
         immobile = {agv.number for agv in self._agvs if agv.immobile}
         fixed = trails(ex, step, immobile)
         window = FOREVER if self._complete else self._window * self._rules.cell_steps
-        if locked or immobile or self._complete:
+        asked = self._to_plan()
+        carried: tuple[Path, ...] = ()
+        if locked or immobile or self._complete or self._keeps:
             # who rests at the end of a window goes on in the next one: nobody's way ends there
             leaving = {} if self._complete else {agv.number: window for agv in self._agvs}
             timed = retime(ex, step, {n: t for n, t in leaving.items() if n not in locked | immobile})
             fixed += [path for n, path in timed.items() if self._complete or n in locked or n in immobile]
-        agents = tuple(self._agent(agv, step) for agv in self._to_plan())
+            carried = tuple(timed[agv.number] for agv in asked) if self._keeps else ()
+        agents = tuple(self._agent(agv, step) for agv in asked)
         carrying: tuple[PlanAgent, ...] = ()
         if self._improves:
             given = {*locked, *(agent.agv for agent in agents)}
             carrying = tuple(self._agent(agv, step) for agv in self._agvs if agv.number not in given | immobile)
-        return PlanningProblem(ex.graph, ex.motion, agents, tuple(fixed), blocked, no_rest, window, carrying=carrying)
+        return PlanningProblem(
+            ex.graph, ex.motion, agents, tuple(fixed), blocked, no_rest, window, carrying=carrying, carried=carried
+        )
 
     def _agent(self, agv: Agv, step: int) -> PlanAgent:
         a = self._executor.agvs[agv.number]

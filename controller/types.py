@@ -268,6 +268,7 @@ class PlanningProblem:
         window_steps: planning horizon in steps, ``FOREVER`` for complete paths.
         seed: for planners that draw random numbers.
         carrying: agents whose path in ``fixed`` ends at their goal; a planner of complete paths may give them another.
+        carried: what agents to plan for carry out so far, by the clock of now; for planners that keep plans in windows.
 
     Example:
         A planner by which everybody keeps its place, asked a random problem:
@@ -289,6 +290,7 @@ class PlanningProblem:
     window_steps: int
     seed: int = 0
     carrying: tuple[PlanAgent, ...] = ()
+    carried: tuple[Path, ...] = ()
 
 
 class Status(StrEnum):

@@ -3,6 +3,9 @@
 Agents are planned in order of priority, each with the quickest path inside the window that keeps clear of everything
 reserved before it; the exact distance to the goal judges what lies beyond the window.
 
+A plan is kept from call to call where it still holds: the goal is the same, nothing on the way is blocked, and it keeps
+clear of all that is reserved before it. Once it looks less than half a window ahead a search adds a new end to it.
+
 Departures from the paper: time is in safe intervals instead of single steps (``search.sipp``). Every agent's start is
 reserved for the time it needs to leave. An agent that finds no path takes back the path of the agent that cut it off
 and goes first, up to ``raises`` times a call; after that it holds its place, whoever planned to pass there plans again,
@@ -16,8 +19,11 @@ deadlock handling to see.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Protocol
+
+import numpy as np
 
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
@@ -25,6 +31,7 @@ from controller.search.sipp import PathSearch
 from controller.search.space import Space
 from controller.types import AgvNumber, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
 from sumo_nets.graph import Graph
+from sumo_nets.numbering import NO_VERTEX, Vertex
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,24 +40,30 @@ class WhcaOptions:
 
     Attributes:
         raises: how often per call an agent without a path may go before the one that cut it off.
+        slack_moves: a distance is searched for only where that may save more than so many moves; see ``search.sipp``.
     """
 
     raises: int = 10
+    slack_moves: int = 2
 
 
 class Whca:
     """The planner, with the search memory it keeps between calls.
 
     Attributes:
+        keeps: it wants to know what the agents carry out, ``PlanningProblem.carried``.
         distances: exact distances, also of use for dispatch.
         table: the reservations of the last call.
     """
 
+    keeps = True
+
     def __init__(self, space: Space, options: WhcaOptions) -> None:
         self.options = options
-        self.distances = Distances(space)
+        self.distances = Distances(space, windowed=True)
         self.table = ReservationTable(len(space.graph.names), space.motion.following)
-        self._search = PathSearch(self.distances)
+        self._search = PathSearch(self.distances, options.slack_moves * int(np.median(space.lanes.edge_steps)))
+        self._goals: dict[AgvNumber, Vertex] = {}
 
     def __call__(self, problem: PlanningProblem) -> PlanResult:
         """Plan for all agents of a problem.
@@ -62,10 +75,22 @@ class Whca:
         self.distances.counters[:] = 0
         self._search.begin(problem)
         self.table.reset(problem.fixed)
-        round_ = Round(problem, self.table, self._search, self.options.raises)
+        round_ = Round(problem, self.table, self._search, self.options.raises, self._still_good(problem))
         round_.run()
+        self._goals = {agent.agv: agent.goal for agent in problem.agents}
         counters = Counters(*self.distances.counters.tolist())
         return PlanResult(round_.status, round_.paths, round_.failed, counters)
+
+
+    def _still_good(self, problem: PlanningProblem) -> dict[AgvNumber, Path]:
+        """The paths carried out so far that lead to the goal as it was, past nothing blocked."""
+        agents = {agent.agv: agent for agent in problem.agents}
+        return {
+            path.agv: path
+            for path in problem.carried
+            if self._goals.get(path.agv) == agents[path.agv].goal
+            and not any(problem.blocked[v] for v in path.vertices[1:] if v != agents[path.agv].goal)
+        }
 
 
 class SingleAgentSearch(Protocol):
@@ -73,8 +98,13 @@ class SingleAgentSearch(Protocol):
 
     blocker: AgvNumber
 
-    def find_path(self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable) -> Path | None:
-        """A path that keeps clear of the table, or None; then ``blocker`` is who is in the way, or -1."""
+    def find_path(
+        self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable, *, since: int = 0
+    ) -> Path | None:
+        """A path that keeps clear of the table, or None; then ``blocker`` is who is in the way, or -1.
+
+        It begins at step ``since``: what leads there has been found before.
+        """
 
 
 class Round:
@@ -85,18 +115,25 @@ class Round:
         table: the reservations of ``problem.fixed``; those of the paths found are added.
         search: finds each agent's path.
         raises: see ``WhcaOptions``.
+        kept: paths of agents that need no search where they keep clear of what is reserved before them.
 
     Attributes:
         paths, failed: as in ``PlanResult``.
     """
 
     def __init__(
-        self, problem: PlanningProblem, table: ReservationTable, search: SingleAgentSearch, raises: int
+        self,
+        problem: PlanningProblem,
+        table: ReservationTable,
+        search: SingleAgentSearch,
+        raises: int,
+        kept: Mapping[AgvNumber, Path] | None = None,
     ) -> None:
         self.problem = problem
         self.table = table
         self.search = search
         self.raises = raises
+        self.kept = kept or {}
         self.agents = {agent.agv: agent for agent in problem.agents}
         self.paths: dict[AgvNumber, Path] = {}
         self.failed: dict[AgvNumber, AgvNumber] = {}
@@ -114,7 +151,7 @@ class Round:
         while self.queue:
             agent = self.queue.popleft()
             self.table.remove(agent.agv)
-            path = self.search.find_path(self.problem, agent, self.table)
+            path = self._kept(agent) or self.search.find_path(self.problem, agent, self.table)
             if path is not None:
                 self.paths[agent.agv] = path
                 self.table.add(path)
@@ -127,6 +164,22 @@ class Round:
                 self.queue.appendleft(agent)
             else:
                 self._hold(agent, blocker)
+
+    def _kept(self, agent: PlanAgent) -> Path | None:
+        """An agent's path as it is carried out if nothing is in its way, with a new end if it looks ahead too little."""
+        path, window = self.kept.get(agent.agv), self.problem.window_steps
+        if path is None:
+            return None
+        ahead, there = path.arrive[-1], path.vertices[-1] == agent.goal
+        if there or 2 * ahead >= window:
+            path = replace(path, until=max(window, ahead + agent.dwell_steps * there))
+            return path if self.table.admits(path) else None
+        if not ahead or not self.table.admits(replace(path, until=ahead + 1)):
+            return None
+        edge = self.problem.graph.edge_index[path.vertices[-2], path.vertices[-1]]
+        then = replace(agent, vertex=path.vertices[-1], in_edge=edge, ready_step=ahead, turned_to=NO_VERTEX)
+        end = self.search.find_path(self.problem, then, self.table, since=ahead)
+        return end and _joined(path, end)
 
     def _reserve_start(self, agent: PlanAgent) -> None:
         """Reserve an agent's start for the time it needs to leave it."""
@@ -150,6 +203,17 @@ class Round:
             self._take_back(agv)
         self.table.hold(agent.vertex, 0, self.problem.window_steps, agent.agv)
         self.failed[agent.agv] = blocker
+
+
+def _joined(path: Path, end: Path) -> Path:
+    """A path that goes on with another one where it ends."""
+    return Path(
+        path.agv,
+        path.vertices + end.vertices[1:],
+        path.arrive + end.arrive[1:],
+        path.depart + end.depart,
+        end.until,
+    )
 
 
 def make_whca(graph: Graph, motion: Motion, options: WhcaOptions | None = None) -> Whca:

@@ -15,40 +15,18 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterable
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.kernel import kernel
+from controller.search.field import AIM, F, Field, G, GOAL, LOADED, OPEN, PLACE, READ, SIZE, may_enter, repair
 from controller.search.landmarks import Bounds, Landmarks
 from controller.search.landmarks import at_least as landmarks_say
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes, Space, by_air
 from controller.types import FOREVER, NEVER
 from sumo_nets.graph import FloatArray, IntArray
 from sumo_nets.numbering import NO_VERTEX, EdgeIndex, Vertex
-
-#: Columns of ``Field.states``: g + 1 (0: not seen yet), f, place in OPEN + 1 (-1: closed), and OPEN itself.
-G, F, PLACE, OPEN = 0, 1, 2, 3
-#: Places of ``Field.meta``.
-SIZE, GOAL, LOADED, AIM, READ = 0, 1, 2, 3, 4
-
-
-class Field(NamedTuple):
-    """The search memory of one goal.
-
-    Attributes:
-        states: shape (m, 4), int32; zeroed memory that is not touched costs nothing.
-        meta: number of states in OPEN, the goal, 1 if loaded, the vertex it is aimed at, and, as long as all that is
-            closed has been read from a table, the steps from there + 1 (else 0).
-        rates: steps per metre by Manhattan and by Euclidean distance, shape (2,); 0 for a search without an aim.
-        ahead: at least so many steps from the vertex it is aimed at over each edge, shape (m,); (0,) if no landmark.
-    """
-
-    states: IntArray
-    meta: IntArray
-    rates: FloatArray
-    ahead: IntArray
 
 
 class Distances:
@@ -60,6 +38,9 @@ class Distances:
         ends: shape (n,), 1 at vertices that are never driven through, whatever ``update`` says; None for none.
         whole: the field of a landmark is whole from the start and lasts whatever ``update`` says: what it says is a
             bound below the distance, exact while nothing but ``ends`` is closed. For searches without a window.
+        windowed: for searches in windows, which ask for one goal again and again from further on. The field of a
+            landmark is whole and repaired when ``update`` changes it; of other goals the newest field is resumed,
+            whoever asks.
 
     Attributes:
         space: the garage.
@@ -68,12 +49,19 @@ class Distances:
     """
 
     def __init__(
-        self, space: Space, max_bytes: int = 1 << 29, ends: NDArray[np.uint8] | None = None, whole: bool = False
+        self,
+        space: Space,
+        max_bytes: int = 1 << 29,
+        ends: NDArray[np.uint8] | None = None,
+        whole: bool = False,
+        windowed: bool = False,
     ) -> None:
         self.space = space
         self._ends = np.zeros(len(space.lanes.xy), dtype=np.uint8) if ends is None else ends
         self._landmarks = Landmarks(space, self._ends)
         self._whole = whole
+        self._windowed = windowed
+        self._newest: dict[tuple[Vertex, bool], tuple[Vertex, bool, Vertex]] = {}
         self._ready: dict[tuple[Vertex, bool], Field] = {}
         motion = space.motion
         self._speeds_differ = bool(
@@ -94,8 +82,8 @@ class Distances:
         for key in [k for k, field in self._fields.items() if _differs(changed, field, lanes, self.blocked)]:
             del self._fields[key]
         if not self._whole:
-            for ready in [k for k, field in self._ready.items() if _differs(changed, field, lanes, self.blocked)]:
-                del self._ready[ready]
+            for field in self._ready.values():
+                repair(changed, field, lanes, self.blocked, self.counters)
 
     def prepare(self, goals: Iterable[Vertex]) -> None:
         """Find all distances to these vertices now, not when they are first asked for, as far as memory allows.
@@ -114,9 +102,12 @@ class Distances:
         field = self._ready.get((goal, loaded))
         if field is not None:
             return field
-        if self._whole and goal in self._landmarks.vertices:
+        if (self._whole or self._windowed) and goal in self._landmarks.vertices:
             return self._make_ready(goal, loaded)
         key = self._key(goal, loaded, asker)
+        if self._windowed:
+            newest = self._newest.get((goal, loaded), key)
+            key = self._newest[goal, loaded] = newest if newest in self._fields else key
         field = self._fields.get(key)
         if field is None:
             field = self._new_field(goal, loaded, asker)
@@ -259,7 +250,7 @@ def _best_way_out(vertex: int, in_edge: int, field: Field, lanes: Lanes, blocked
     first = lanes.first_out[vertex]
     for e in range(first, lanes.first_out[vertex + 1]):
         turn = 0 if in_edge < 0 else lanes.turn_steps[loaded, lanes.first_transition[in_edge] + e - first]
-        if turn >= NEVER or not _may_enter(lanes.head[e], field, blocked):
+        if turn >= NEVER or not may_enter(lanes.head[e], field, blocked):
             continue
         if states[e, PLACE] == -1:
             best = min(best, turn + lanes.edge_steps[loaded, e] + states[e, G] - 1)
@@ -285,7 +276,7 @@ def _descend(
         taken, steps = -1, 0
         for e in range(first, lanes.first_out[vertex + 1]):
             turn = 0 if in_edge < 0 else lanes.turn_steps[loaded, lanes.first_transition[in_edge] + e - first]
-            known = states[e, PLACE] == -1 and _may_enter(lanes.head[e], field, blocked)
+            known = states[e, PLACE] == -1 and may_enter(lanes.head[e], field, blocked)
             if known and turn + lanes.edge_steps[loaded, e] + states[e, G] - 1 == left:
                 taken, steps = e, turn + lanes.edge_steps[loaded, e]
                 break
@@ -318,7 +309,7 @@ def _close_next(field: Field, lanes: Lanes, blocked: NDArray[np.uint8], counters
     out = _pop(states, meta, counters)
     counters[EXPANDED] += 1
     counters[VALID] += 1
-    if not _may_enter(lanes.head[out], field, blocked):
+    if not may_enter(lanes.head[out], field, blocked):
         return
     v = lanes.tail[out]
     for i in range(lanes.first_in[v], lanes.first_in[v + 1]):
@@ -353,11 +344,6 @@ def at_least(edge: int, goal: int, field: Field, bounds: Bounds, lanes: Lanes) -
         return int(field.states[edge, G]) - 1
     straight = by_air(lanes.head[edge], goal, field.rates[0], field.rates[1], lanes)
     return int(max(straight, landmarks_say(edge, bounds)))
-
-
-@kernel
-def _may_enter(v: int, field: Field, blocked: NDArray[np.uint8]) -> bool:
-    return not blocked[v] or v == field.meta[GOAL]
 
 
 @kernel
@@ -399,7 +385,7 @@ def _read_way(field: Field, lanes: Lanes, blocked: NDArray[np.uint8]) -> bool:
         return False
     steps = ahead[edge]
     while edge >= 0:
-        if not _may_enter(lanes.head[edge], field, blocked):
+        if not may_enter(lanes.head[edge], field, blocked):
             states[:] = 0
             return False
         states[edge, G] = steps - ahead[edge] + 1

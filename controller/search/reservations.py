@@ -83,6 +83,10 @@ class ReservationTable:
         """Reserve one vertex for the steps ``start`` to ``end`` (exclusive)."""
         self.put(np.array((agv, 1, vertex, start, end), dtype=np.int32), 1)
 
+    def admits(self, path: Path) -> bool:
+        """Whether a path of an agent without reservations keeps clear of all others."""
+        return bool(_admits(_packed((path,)), self.reserved, self.following))
+
     def put(self, words: IntArray, paths: int) -> None:
         """Reserve so many paths, given as the table keeps them, see ``Reserved``."""
         self.make_room(len(words), paths)
@@ -223,6 +227,33 @@ def keep(place: int, reserved: Reserved, following: bool) -> bool:
     used[SPANS] += 1
     used[WORDS] = place + HEAD + EACH * n
     return True
+
+
+@kernel
+def _admits(words: IntArray, reserved: Reserved, following: bool) -> bool:
+    """Whether nothing of a packed path is reserved by others, and no move of it is a swap."""
+    rows, counts = reserved.rows, reserved.counts
+    n = words[1]
+    arrive, leave = HEAD + n, HEAD + 2 * n
+    for k in range(n):
+        v = words[HEAD + k]
+        start = words[arrive + k] if k == 0 or following else words[leave + k - 1]
+        end = words[leave + k] if k == n - 1 else words[arrive + k + 1]
+        for i in range(counts[v]):
+            if rows[v, i, START] < end and rows[v, i, END] > start:
+                return False
+        if k > 0 and following and swaps(rows, counts, words[HEAD + k - 1], v, start):
+            return False
+    return True
+
+
+@kernel
+def swaps(rows: IntArray, count: IntArray, v: int, w: int, step: int) -> bool:
+    """Whether the agent that leaves ``w`` at this step enters ``v``."""
+    found = False
+    for k in range(count[w]):
+        found |= rows[w, k, END] == step and rows[w, k, NEXT] == v
+    return found
 
 
 @kernel

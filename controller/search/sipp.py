@@ -11,7 +11,7 @@ A path ends
   ``no_rest`` holds; or at the vertex that it would leave just then, f = t + h of the next one.
 
 The exact distance of a state is only asked for when its turn comes, until then a bound below it serves (Tolpin et al.
-2013, lazy A*): most of the graph around the path is never searched. A complete path may be looked for with ``slack``:
+2013, lazy A*): most of the graph around the path is never searched. A path may be looked for with ``slack``:
 a state whose distance is not known yet goes by its bound, dearer by the slack, and nothing is asked for. A wait or a
 little detour by known states then does not set off a search of everything around.
 
@@ -46,6 +46,7 @@ from controller.search.reservations import (
     Reserved,
     drop,
     keep,
+    swaps,
 )
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes
 from controller.types import FOREVER, NEVER, NO_AGV, AgvNumber, Path, PlanAgent, PlanningProblem
@@ -60,11 +61,11 @@ EDGE, VERTEX, SLOT, T, LEAVE, LAST, H, PARENT, OLDER, STALE, FINAL, EXACT, TURNE
 
 #: Places of the query that the kernel reads.
 Q_AGV, Q_VERTEX, Q_EDGE, Q_READY, Q_GOAL, Q_LOADED, Q_DWELL = range(7)
-Q_WINDOW, Q_PENALTY, Q_FOLLOWING, Q_LIMIT, Q_SLACK, Q_LATEST = range(7, 13)
+Q_WINDOW, Q_PENALTY, Q_FOLLOWING, Q_LIMIT, Q_SLACK, Q_LATEST, Q_SINCE = range(7, 14)
 #: Bits of ``_Memory.keys``: f from F_FROM on, the lowest T_BITS for g.
 F_FROM, T_BITS = 32, 31
 
-_QUERY = struct.Struct("13i")
+_QUERY = struct.Struct("14i")
 
 _NO_BANS: IntArray = np.zeros((0, 2), dtype=np.int32)
 
@@ -127,6 +128,7 @@ class PathSearch:
         *,
         forbidden: Collection[tuple[EdgeIndex, int]] = (),
         max_expansions: int = FOREVER,
+        since: int = 0,
     ) -> Path | None:
         """The agent's quickest way towards its goal.
 
@@ -136,11 +138,12 @@ class PathSearch:
             table: the reservations to keep clear of.
             forbidden: (edge, step): the edge may not be arrived by at that step.
             max_expansions: give up after that many.
+            since: step from which on it is where the path begins; it gets there by a path found before.
 
         Returns:
             The path, or None (then see ``blocker`` and ``limited``).
         """
-        query = self._query(problem, agent, limit=max_expansions)
+        query = self._query(problem, agent, limit=max_expansions, since=since)
         bans = np.array(sorted(forbidden), dtype=np.int32).reshape(-1, 2) if forbidden else _NO_BANS
         return self._path(self._run(_find, query, bans, agent, table), query)
 
@@ -169,13 +172,14 @@ class PathSearch:
         return self._path(self._run(_find, query, _NO_BANS, agent, table), query)
 
     def _query(
-        self, problem: PlanningProblem, agent: PlanAgent, limit: int = FOREVER, latest: int = FOREVER
+        self, problem: PlanningProblem, agent: PlanAgent, limit: int = FOREVER, latest: int = FOREVER, since: int = 0
     ) -> IntArray:
         window = min(problem.window_steps, FOREVER)
-        slack = self.slack if window == FOREVER else 0
+        slack = self.slack
         packed = _QUERY.pack(
             agent.agv, agent.vertex, agent.in_edge, agent.ready_step, agent.goal, agent.loaded, agent.dwell_steps,
             window, window // 4, problem.motion.following, min(limit, FOREVER), slack, min(latest + slack, FOREVER),
+            since,
         )  # fmt: skip
         return np.frombuffer(bytearray(packed), dtype=np.int32)
 
@@ -254,15 +258,18 @@ def _sipp(
     latest = -1  # end of the last safe interval: whoever ends it is held responsible if nothing is found
     nearest = FOREVER  # if no safe interval ended: whoever stands for ever nearest to the goal
     wait_f, wait_node = FOREVER, NONE  # the best path that ends by waiting for the window's end
-    if count[start] > 0 and rows[start, 0, START] <= 0:
-        meta[BLOCKER] = rows[start, 0, AGENT]
+    slot = 0
+    while slot < count[start] and rows[start, slot, END] <= query[Q_SINCE]:
+        slot += 1
+    if slot < count[start] and rows[start, slot, START] <= query[Q_SINCE]:
+        meta[BLOCKER] = rows[start, slot, AGENT]
         return NONE
     h = 0
     if goal >= 0:
         h = start_at_least(start, query[Q_EDGE], field, lanes, blocked, counters)
         if h >= FOREVER:
             return NONE
-    _generate(-1, start, 0, query[Q_READY], 0, _safe_until(rows, count, start, 0, window), h, True, -1,
+    _generate(-1, start, slot, query[Q_READY], 0, _safe_until(rows, count, start, slot, window), h, True, -1,
               query, no_rest, lanes, memory, counters)  # fmt: skip
     expanded = 0
     while meta[SIZE] > 0:
@@ -291,7 +298,7 @@ def _sipp(
             return LIMIT
         v, t, last = nodes[n, VERTEX], nodes[n, T], nodes[n, LAST]
         if last >= FOREVER and window < FOREVER and goal >= 0:
-            f = max(t, window) + nodes[n, H]
+            f = max(t, window) + nodes[n, H] + (0 if nodes[n, EXACT] else query[Q_SLACK])
             if no_rest[v] and v != goal and v != start:
                 f += query[Q_PENALTY]
             if f < wait_f:
@@ -300,6 +307,10 @@ def _sipp(
             latest = last
             meta[BLOCKER] = rows[v, nodes[n, SLOT], AGENT]
         into = query[Q_EDGE] if nodes[n, EDGE] < 0 else nodes[n, EDGE]
+        if window < FOREVER and goal >= 0:
+            f = _leaves_at_end(n, into, wait_f, query, bans, field, bounds, lanes, blocked, counters, nodes)
+            if f < wait_f:
+                wait_f, wait_node = f, n
         for e in range(lanes.first_out[v], lanes.first_out[v + 1]):
             w = lanes.head[e]
             if blocked[w] and w != goal and w != start:
@@ -329,14 +340,10 @@ def _sipp(
                     break
                 entered = a if query[Q_FOLLOWING] else a - steps
                 if entered >= window:
-                    if goal >= 0 and a == depart + steps and a + h < wait_f:
-                        h = settle(e, field, lanes, blocked, counters)
-                        if a + h < wait_f:
-                            wait_f, wait_node = a + h, n
                     break
                 if a >= end:
                     continue
-                if query[Q_FOLLOWING] and a == last and a == begin and _swaps(rows, count, v, w, a):
+                if query[Q_FOLLOWING] and a == last and a == begin and swaps(rows, count, v, w, a):
                     continue
                 if meta[NODES] == nodes.shape[0]:
                     return FULL
@@ -344,6 +351,35 @@ def _sipp(
                 if end >= FOREVER:
                     break
     return wait_node
+
+
+@kernel
+def _leaves_at_end(
+    n: int, into: int, best: int, query: IntArray, bans: IntArray, field: Field, bounds: Bounds, lanes: Lanes,
+    blocked: NDArray[np.uint8], counters: NDArray[np.int64], nodes: IntArray,
+) -> int:  # fmt: skip
+    """Least f of a path that ends at a node because its next move begins at the window's end; ``best`` if none is less.
+
+    Edges whose distance is known go first: what they cost may spare the search for the others.
+    """
+    v, t, loaded = nodes[n, VERTEX], nodes[n, T], query[Q_LOADED]
+    for known in (True, False):
+        for e in range(lanes.first_out[v], lanes.first_out[v + 1]):
+            w = lanes.head[e]
+            if (known and not closed(e, field)) or (blocked[w] and w != query[Q_GOAL] and w != query[Q_VERTEX]):
+                continue
+            steps = lanes.edge_steps[loaded, e]
+            turn = 0 if into < 0 else lanes.turn_steps[loaded, lanes.first_transition[into] + e - lanes.first_out[v]]
+            a = t + turn + steps
+            entered = a if query[Q_FOLLOWING] else a - steps
+            if turn >= NEVER or entered < query[Q_WINDOW] or a > nodes[n, LAST] or a != _after_bans(bans, e, a):
+                continue
+            h = max(at_least(e, query[Q_GOAL], field, bounds, lanes), nodes[n, H] - turn - steps)
+            if query[Q_SLACK] > 0 and not closed(e, field):
+                best = min(best, a + h + query[Q_SLACK])
+            elif a + h < best:
+                best = min(best, a + settle(e, field, lanes, blocked, counters))
+    return best
 
 
 @kernel
@@ -416,15 +452,6 @@ def _after_bans(bans: IntArray, edge: int, step: int) -> int:
         if bans[i, 0] == edge and bans[i, 1] == step:
             step += 1
     return step
-
-
-@kernel
-def _swaps(rows: IntArray, count: IntArray, v: int, w: int, step: int) -> bool:
-    """Whether the agent that leaves ``w`` at this step enters ``v``."""
-    found = False
-    for k in range(count[w]):
-        found |= rows[w, k, END] == step and rows[w, k, NEXT] == v
-    return found
 
 
 @njit(cache=True)
