@@ -247,6 +247,24 @@ def draw_planning(run: Run) -> Figure | None:
     return figure
 
 
+def draw_window(run: Run) -> Figure | None:
+    """Course of the planning window and of the score that it goes by, if planning calls have windows."""
+    calls = run.planning
+    if not calls["window_cells"].any():
+        return None
+    figure, (axes,) = new_figure(2.2)
+    times = calls["time_s"]
+    axes.step(times, calls["window_cells"], where="post", color=BLUE, label="window (moves)")
+    axes.plot(times, calls["wait_edges"], color=ORANGE, linewidth=0.8, label="wait-for edges")
+    axes.set(xlabel=f"{Clock.of(run.meta).name} (h:mm)", ylabel="moves, edges")
+    if calls["score"].any():
+        axes.plot(times, calls["score"], color=INK, linewidth=0.8, linestyle=":", label="congestion score")
+    axes.set_ylim(bottom=0)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    _show_clock(axes, Clock.of(run.meta))
+    return figure
+
+
 def draw_floor(run: Run) -> Figure | None:
     """Floor plan with how often AGVs passed each place and how long they stood there with something to do."""
     vertices, trajectory = run.vertices, run.trajectory
@@ -306,6 +324,11 @@ FIGURES: Mapping[str, tuple[str, str, Callable[[Run], Any]]] = {
         "Deadlocks over time",
         "One stem for each deadlock: when the wait began, how long until it was resolved, and by what.",
         draw_deadlocks,
+    ),
+    "window": (
+        "Planning window",
+        "Course of the window of planners that plan in windows, and the wait-for edges of each call.",
+        draw_window,
     ),
     "planning": (
         "Planning time",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from controller.costs import Costs
 from controller.deadlock.cut_off import find_cut_off
 from controller.deadlock.ladder import Ladder, LadderLimits
-from controller.deadlock.waits import Progress, WaitGraph, wait_graph
+from controller.deadlock.waits import Progress, wait_graph
 from controller.executor import Executor
 from controller.fleet import Agv, StuckBoost, priority
 from controller.reordering import reorder
@@ -33,6 +33,7 @@ from controller.types import (
     PlanResult,
 )
 from controller.visits import retime
+from controller.window import Window, WindowRange, WindowRule, count_sccs
 from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex, numbered
 
 Mask = NDArray[np.uint8]
@@ -50,11 +51,10 @@ class ControlOptions:
         timeout_steps: plan after so long while somebody stands who has somewhere to go.
         watch_steps: how often events and orders are looked at.
         reorder: let AGVs that wait for a late one go first where that pays.
-        window_cells: planning window at the start, in moves of ``Rules.cell_steps``; planners of
-            complete paths have none.
-        window_min, window_max, window_step: the window adapts between these.
-        score_keep, score_scc, score_up, score_down: the window grows by a step when the congestion score
-            ``floor(keep * old) + wait edges + scc * SCCs`` is above ``up`` and shrinks below ``down``.
+        window_cells, window_min, window_max: the planning window at the start, the least and the greatest one, in moves
+            of ``Rules.cell_steps``; None for the planner's own, which gives way to those that are given. Planners of
+            complete paths have no window.
+        window: how the window adapts between these.
         boost: how far waiting raises an AGV's priority.
         ladder: limits of deadlock resolution.
     """
@@ -65,21 +65,22 @@ class ControlOptions:
     timeout_steps: int = 10
     watch_steps: int = 2
     reorder: bool = False
-    window_cells: int = 5
-    window_min: int = 5
-    window_max: int = 11
-    window_step: int = 2
-    score_keep: float = 0.6
-    score_scc: int = 5
-    score_up: int = 24
-    score_down: int = 10
+    window_cells: int | None = None
+    window_min: int | None = None
+    window_max: int | None = None
+    window: WindowRule = field(default_factory=WindowRule)
     boost: StuckBoost = field(default_factory=StuckBoost)
     ladder: LadderLimits = field(default_factory=LadderLimits)
 
 
 @dataclass(frozen=True, slots=True)
 class PlanningCall:
-    """One planning call, for the record. ``wall_s`` is the only value that differs between equal runs."""
+    """One planning call, for the record. ``wall_s`` is the only value that differs between equal runs.
+
+    ``window_cells`` is 0 for complete paths; ``wait_edges`` and ``rings`` (components of two or more) are those of the
+    conflicts that the planner met, or, under planners that meet none, of the AGVs that really wait; ``score`` is the
+    congestion score after them.
+    """
 
     step: int
     agents: int
@@ -87,6 +88,10 @@ class PlanningCall:
     window_steps: int
     counters: Counters
     wall_s: float
+    window_cells: int = 0
+    score: int = 0
+    wait_edges: int = 0
+    rings: int = 0
 
 
 class Planning:
@@ -131,8 +136,8 @@ class Planning:
         self._log = log
         self._progress = Progress(executor, agvs, costs, self._complete)
         self._ladder = Ladder(options.ladder, executor, agvs, self._progress, log)
-        self._window = options.window_cells
-        self._score = 0
+        self._window = Window(_moves(planner, options), options.window)
+        self._meets_conflicts = bool(getattr(planner, "meets_conflicts", False))
         self._last = -options.period_steps
         self._changed = True
         self._expected: frozenset[tuple[AgvNumber, Vertex]] = frozenset()
@@ -177,14 +182,27 @@ class Planning:
         result = self._planner(problem)
         result.counters.slot_choice, self.slot_choice = self.slot_choice, 0
         self._take(step, problem, result)
-        if self._rules.resolve_deadlocks:
-            self._watch(step, problem)
+        met = self._watch(step, problem) if self._rules.resolve_deadlocks else (0, 0)
+        if self._meets_conflicts:
+            met = len(result.waits), count_sccs(result.waits)
+        window = self._window.cells
+        self._adapt(*met)
         wall_s = perf_counter() - start
         if self._options.replanning != "periodic":
             self._expect(step)
         status = result.status.value
         self.calls.append(
-            PlanningCall(step, len(problem.agents), status, problem.window_steps, result.counters, wall_s)
+            PlanningCall(
+                step,
+                len(problem.agents),
+                status,
+                problem.window_steps,
+                result.counters,
+                wall_s,
+                0 if self._complete else window,
+                self._window.score,
+                *met,
+            )
         )
         self.counters.add(result.counters)
 
@@ -232,7 +250,7 @@ class Planning:
         ex, locked = self._executor, self._ladder.locked
         immobile = {agv.number for agv in self._agvs if agv.immobile}
         fixed = trails(ex, step, immobile)
-        window = FOREVER if self._complete else self._window * self._rules.cell_steps
+        window = FOREVER if self._complete else self._window.cells * self._rules.cell_steps
         asked = self._to_plan()
         carried: tuple[Path, ...] = ()
         if locked or immobile or self._complete or self._keeps:
@@ -270,13 +288,13 @@ class Planning:
         elif result.failed:
             self._log("plan_partial", NO_AGV, "", NO_VERTEX, {"failed": sorted(result.failed)})
 
-    def _watch(self, step: int, problem: PlanningProblem) -> None:
-        """Look for deadlock among those who really wait, adapt the window, and have deadlocks resolved."""
+    def _watch(self, step: int, problem: PlanningProblem) -> tuple[int, int]:
+        """Have deadlocks among those who really wait resolved; how many wait, and in how many rings."""
         waits = wait_graph(self._executor, self._agvs, self._costs, self._ladder.locked)
         cut_off = find_cut_off(self._executor, self._agvs, self._costs, problem.blocked)
         self._progress.update(step, cut_off.by_fault | self._ladder.concerned)
-        self._adapt(waits)
         self._ladder.step(step, waits, lambda: self._whole(step, problem), cut_off)
+        return len(waits.edges), len(waits.rings)
 
     def _whole(self, step: int, problem: PlanningProblem) -> PlanningProblem:
         """The problem for the ladder: all AGVs that can move, whatever the planner was given."""
@@ -284,13 +302,25 @@ class Planning:
         free = (agv for agv in self._agvs if agv.number not in locked and not agv.immobile)
         return replace(problem, agents=tuple(self._agent(agv, step) for agv in free), carrying=())
 
-    def _adapt(self, waits: WaitGraph) -> None:
-        o = self._options
-        self._score = int(o.score_keep * self._score) + len(waits.edges) + o.score_scc * len(waits.rings)
-        if self._score > o.score_up:
-            self._window = min(o.window_max, self._window + o.window_step)
-        elif self._score < o.score_down:
-            self._window = max(o.window_min, self._window - o.window_step)
+    def _adapt(self, edges: int, rings: int) -> None:
+        """Let the window follow the conflicts that the planner met, or the traffic."""
+        if self._meets_conflicts:
+            self._window.take_conflicts(edges, rings)
+        elif not self._complete:
+            under_way = sum(agv.goal != a.last for agv, a in zip(self._agvs, self._executor.agvs, strict=True))
+            self._window.take_traffic(under_way, len(self._agvs), self._ladder.resolving)
+
+
+def _moves(planner: Planner, options: ControlOptions) -> WindowRange:
+    """The range of the window: what is given, and the planner's own as far as that agrees with it."""
+    own: WindowRange = getattr(planner, "window", WindowRange())
+    start, least, most = options.window_cells, options.window_min, options.window_max
+    given = [moves for moves in (start, least, most) if moves is not None]
+    if least is None:
+        least = min(own.least, *given) if given else own.least
+    if most is None:
+        most = max(own.most, *given) if given else own.most
+    return WindowRange(min(max(own.start, least), most) if start is None else start, least, most)
 
 
 def trails(executor: Executor, step: int, immobile: Collection[AgvNumber] = ()) -> list[Path]:

@@ -18,6 +18,7 @@ from controller.planners.table import load_planner
 from controller.planning import ControlOptions
 from controller.rules import Rules
 from controller.types import AgvNumber, Log, Motion, whole_steps
+from controller.window import WindowRule
 from demand.types import Demand, stream
 from demand.workloads import make_demand
 from parking_sim.config import AgvConfig, ControlConfig, PlantKind, Scenario, unknown_names
@@ -220,11 +221,7 @@ def control_options(config: ControlConfig, plant: PlantKind, cell_steps: int, st
         window_cells=config.window_cells,
         window_min=config.window_min,
         window_max=config.window_max,
-        window_step=config.window_step,
-        score_keep=config.score_keep,
-        score_scc=config.score_scc,
-        score_up=config.score_up,
-        score_down=config.score_down,
+        window=WindowRule(config.window_step, config.score_keep, config.score_scc, config.score_up, config.score_down),
         boost=StuckBoost(config.boost_step, config.boost_after, config.boost_max),
         ladder=ladder,
     )

@@ -69,21 +69,39 @@ class ControlConfig(_Options):
     reorder: bool = Field(
         default=False, description="AGVs that wait behind a late one go first where that pays: orders are switched"
     )
-    window_cells: int = Field(
-        default=5, ge=1, le=10_000, description="planning window at the start, moves over an aisle cell"
+    window_cells: int | None = Field(
+        default=None,
+        ge=1,
+        le=10_000,
+        description="planning window at the start, moves over an aisle cell; default: the planner's own (whca 11,"
+        " others 5; planners of complete paths have none)",
     )
-    window_min: int = Field(default=5, ge=1, le=10_000, description="least window, moves")
-    window_max: int = Field(default=11, ge=1, le=10_000, description="greatest window, moves")
-    window_step: int = Field(default=2, ge=1, le=10_000, description="change of the window at a time, moves")
+    window_min: int | None = Field(
+        default=None,
+        ge=1,
+        le=10_000,
+        description="least window, moves; default: the planner's own (whca 11, others 5), or what fits the other two",
+    )
+    window_max: int | None = Field(
+        default=None,
+        ge=1,
+        le=10_000,
+        description="greatest window, moves; default: the planner's own (whca 21, others 11), or what fits the other"
+        " two",
+    )
+    window_step: int = Field(default=2, ge=1, le=10_000, description="the window changes in steps of so many moves")
     score_keep: float = Field(
         default=0.6,
         ge=0,
         lt=1,
-        description="share of the congestion score kept; score = floor(keep * old) + wait edges + scc_weight * SCCs",
+        description="share that is kept of the congestion score (score = floor(keep * old) + wait edges + score_scc *"
+        " SCCs of the conflicts that pipeline meets while it plans) or, under other planners, of the level of traffic",
     )
-    score_scc: int = Field(default=5, ge=0, description="weight of a strongly connected component in the score")
-    score_up: int = Field(default=24, ge=0, description="the window grows when the score is above this")
-    score_down: int = Field(default=10, ge=0, description="the window shrinks when the score is below this")
+    score_scc: int = Field(
+        default=5, ge=0, description="pipeline: weight of a strongly connected component in the score"
+    )
+    score_up: int = Field(default=24, ge=0, description="pipeline: the window grows when the score is above this")
+    score_down: int = Field(default=10, ge=0, description="pipeline: the window shrinks when the score is below this")
     boost_step: int = Field(
         default=10, ge=0, description="priority an AGV gains for each move it could have made while it waited"
     )
@@ -99,7 +117,8 @@ class ControlConfig(_Options):
 
     @model_validator(mode="after")
     def _window_in_range(self) -> Self:
-        if not self.window_min <= self.window_cells <= self.window_max:
+        given = [moves for moves in (self.window_min, self.window_cells, self.window_max) if moves is not None]
+        if given != sorted(given):
             raise ValueError("give window_min <= window_cells <= window_max")
         if self.score_down > self.score_up:
             raise ValueError("give score_down <= score_up")

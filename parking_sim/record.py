@@ -111,6 +111,15 @@ _SCHEMA: Mapping[str, tuple[tuple[str, str, str, str], ...]] = {
         ("valid", "BIGINT", "states", "expanded states that were not stale"),
         ("slot_choice", "BIGINT", "states", "states expanded while choosing a slot, not counted in expanded"),
         ("wall_ms", "DOUBLE", "ms", "wall-clock time of the call; differs from run to run"),
+        ("window_cells", "INTEGER", "moves", "planning horizon in moves; 0 under planners of complete paths"),
+        ("score", "INTEGER", "", "congestion score that the window goes by; 0 under planners that meet no conflicts"),
+        (
+            "wait_edges",
+            "INTEGER",
+            "edges",
+            "wait-for edges: met while planning (pipeline), or of AGVs that really wait",
+        ),
+        ("rings", "INTEGER", "rings", "strongly connected components of two or more among these"),
     ),
     "agvs": (
         ("agv", "INTEGER", "", "number of the AGV"),
@@ -360,11 +369,15 @@ class Recorder:
         valid: int,
         wall_ms: float,
         slot_choice: int = 0,
+        window_cells: int = 0,
+        score: int = 0,
+        wait_edges: int = 0,
+        rings: int = 0,
     ) -> None:
         """One planning call. See ``COLUMNS["planning"]``."""
-        self._rows["planning"].append(
-            (time_s, agents, status, window_steps, expanded, heap_moves, generated, valid, slot_choice, wall_ms)
-        )
+        work = expanded, heap_moves, generated, valid, slot_choice
+        window = window_cells, score, wait_edges, rings
+        self._rows["planning"].append((time_s, agents, status, window_steps, *work, wall_ms, *window))
 
     def floor(self, graph: Graph) -> None:
         """The garage, once per run: with it a record can be drawn and replayed by itself."""

@@ -296,7 +296,8 @@ class RunLoop:
             self._wall["planning"] += call.wall_s
             self.recorder.planning(
                 self.now_s, call.agents, call.status, call.window_steps, c.expanded, c.heap_moves, c.generated,
-                c.valid, call.wall_s * 1000.0, c.slot_choice,
+                c.valid, call.wall_s * 1000.0, c.slot_choice, call.window_cells, call.score, call.wait_edges,
+                call.rings,
             )  # fmt: skip
         self._account()
         self._wall["record"] += perf_counter() - t

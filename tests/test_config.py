@@ -110,7 +110,7 @@ ERRORS: list[tuple[str, str]] = [
     ),
     (BASE + "max_time_s: .inf", "max_time_s: inf: must be a finite number"),
     (BASE + "plant: sum", "plant: 'sum': give 'sumo' or 'discrete'"),
-    (BASE + "control: {window_cells: 99}", "control: give window_min <= window_cells <= window_max"),
+    (BASE + "control: {window_cells: 99, window_max: 11}", "control: give window_min <= window_cells <= window_max"),
     (BASE + "agv: {charge_below: 0.95}", "agv: give charge_below < charge_to"),
     (BASE + "agv: 3", "agv: 3: give a mapping of keys to values"),
     (BASE + "workload: {cars: 3}", "workload.kind: missing; give one of park_exit, poisson, bursts, zones, csv"),

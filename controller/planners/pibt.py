@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.kernel import kernel
-from controller.search.distances import Distances, Field, settle
+from controller.search.distances import Distances, settle
+from controller.search.field import Field
 from controller.search.space import Lanes, Space
 from controller.types import (
     FOREVER,

@@ -100,10 +100,12 @@ class Pipeline:
         search: each AGV's own D* Lite.
         cbs: plans groups.
         aside: neighbours of each vertex in the order in which pull-over tries them.
+        meets_conflicts: the window goes by the edges in ``PlanResult.waits``.
         stages: how often each stage has moved a group on: "partial_cbs", "leader", "pull_over".
     """
 
     one_move = True
+    meets_conflicts = True
 
     def __init__(self, space: Space, options: PipelineOptions) -> None:
         self.options = o = options

@@ -19,7 +19,7 @@ deadlock handling to see.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -30,6 +30,7 @@ from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
 from controller.search.space import Space
 from controller.types import AgvNumber, Counters, Motion, Path, PlanAgent, PlanningProblem, PlanResult, Status
+from controller.window import WindowRange
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import NO_VERTEX, Vertex
 
@@ -51,11 +52,13 @@ class Whca:
     """The planner, with the search memory it keeps between calls.
 
     Attributes:
+        window: its range. Paths that look far ahead cost it no more, as it keeps them.
         keeps: it wants to know what the agents carry out, ``PlanningProblem.carried``.
         distances: exact distances, also of use for dispatch.
         table: the reservations of the last call.
     """
 
+    window = WindowRange(start=11, least=11, most=21)
     keeps = True
 
     def __init__(self, space: Space, options: WhcaOptions) -> None:
@@ -75,22 +78,38 @@ class Whca:
         self.distances.counters[:] = 0
         self._search.begin(problem)
         self.table.reset(problem.fixed)
-        round_ = Round(problem, self.table, self._search, self.options.raises, self._still_good(problem))
+        round_ = Round(problem, self.table, self._search, self.options.raises, self._keep(problem))
         round_.run()
         self._goals = {agent.agv: agent.goal for agent in problem.agents}
         counters = Counters(*self.distances.counters.tolist())
         return PlanResult(round_.status, round_.paths, round_.failed, counters)
 
+    def _keep(self, problem: PlanningProblem) -> Callable[[PlanAgent], Path | None]:
+        """What gives an agent's present path if its goal is the same and nothing on the way is blocked."""
+        carried = {path.agv: path for path in problem.carried}
 
-    def _still_good(self, problem: PlanningProblem) -> dict[AgvNumber, Path]:
-        """The paths carried out so far that lead to the goal as it was, past nothing blocked."""
-        agents = {agent.agv: agent for agent in problem.agents}
-        return {
-            path.agv: path
-            for path in problem.carried
-            if self._goals.get(path.agv) == agents[path.agv].goal
-            and not any(problem.blocked[v] for v in path.vertices[1:] if v != agents[path.agv].goal)
-        }
+        def keep(agent: PlanAgent) -> Path | None:
+            path = carried.get(agent.agv)
+            if path is None or self._goals.get(agent.agv) != agent.goal:
+                return None
+            if any(problem.blocked[v] for v in path.vertices[1:] if v != agent.goal):
+                return None
+            return self._as_reserved(path, agent, problem)
+
+        return keep
+
+    def _as_reserved(self, path: Path, agent: PlanAgent, problem: PlanningProblem) -> Path | None:
+        """A path if nothing reserved is in its way, with a new end if it looks less than half a window ahead."""
+        window, ahead, there = problem.window_steps, path.arrive[-1], path.vertices[-1] == agent.goal
+        if there or 2 * ahead >= window:
+            path = replace(path, until=max(window, ahead + agent.dwell_steps * there))
+            return path if self.table.admits(path) else None
+        if not ahead or not self.table.admits(replace(path, until=ahead + 1)):
+            return None
+        edge = problem.graph.edge_index[path.vertices[-2], path.vertices[-1]]
+        then = replace(agent, vertex=path.vertices[-1], in_edge=edge, ready_step=ahead, turned_to=NO_VERTEX)
+        end = self._search.find_path(problem, then, self.table, since=ahead)
+        return end and _joined(path, end)
 
 
 class SingleAgentSearch(Protocol):
@@ -98,13 +117,8 @@ class SingleAgentSearch(Protocol):
 
     blocker: AgvNumber
 
-    def find_path(
-        self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable, *, since: int = 0
-    ) -> Path | None:
-        """A path that keeps clear of the table, or None; then ``blocker`` is who is in the way, or -1.
-
-        It begins at step ``since``: what leads there has been found before.
-        """
+    def find_path(self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable) -> Path | None:
+        """A path that keeps clear of the table, or None; then ``blocker`` is who is in the way, or -1."""
 
 
 class Round:
@@ -115,7 +129,7 @@ class Round:
         table: the reservations of ``problem.fixed``; those of the paths found are added.
         search: finds each agent's path.
         raises: see ``WhcaOptions``.
-        kept: paths of agents that need no search where they keep clear of what is reserved before them.
+        keep: gives an agent's old path if that still holds, so that it needs no search.
 
     Attributes:
         paths, failed: as in ``PlanResult``.
@@ -127,13 +141,13 @@ class Round:
         table: ReservationTable,
         search: SingleAgentSearch,
         raises: int,
-        kept: Mapping[AgvNumber, Path] | None = None,
+        keep: Callable[[PlanAgent], Path | None] = lambda _: None,
     ) -> None:
         self.problem = problem
         self.table = table
         self.search = search
         self.raises = raises
-        self.kept = kept or {}
+        self.keep = keep
         self.agents = {agent.agv: agent for agent in problem.agents}
         self.paths: dict[AgvNumber, Path] = {}
         self.failed: dict[AgvNumber, AgvNumber] = {}
@@ -151,7 +165,7 @@ class Round:
         while self.queue:
             agent = self.queue.popleft()
             self.table.remove(agent.agv)
-            path = self._kept(agent) or self.search.find_path(self.problem, agent, self.table)
+            path = self.keep(agent) or self.search.find_path(self.problem, agent, self.table)
             if path is not None:
                 self.paths[agent.agv] = path
                 self.table.add(path)
@@ -164,22 +178,6 @@ class Round:
                 self.queue.appendleft(agent)
             else:
                 self._hold(agent, blocker)
-
-    def _kept(self, agent: PlanAgent) -> Path | None:
-        """An agent's path as it is carried out if nothing is in its way, with a new end if it looks ahead too little."""
-        path, window = self.kept.get(agent.agv), self.problem.window_steps
-        if path is None:
-            return None
-        ahead, there = path.arrive[-1], path.vertices[-1] == agent.goal
-        if there or 2 * ahead >= window:
-            path = replace(path, until=max(window, ahead + agent.dwell_steps * there))
-            return path if self.table.admits(path) else None
-        if not ahead or not self.table.admits(replace(path, until=ahead + 1)):
-            return None
-        edge = self.problem.graph.edge_index[path.vertices[-2], path.vertices[-1]]
-        then = replace(agent, vertex=path.vertices[-1], in_edge=edge, ready_step=ahead, turned_to=NO_VERTEX)
-        end = self.search.find_path(self.problem, then, self.table, since=ahead)
-        return end and _joined(path, end)
 
     def _reserve_start(self, agent: PlanAgent) -> None:
         """Reserve an agent's start for the time it needs to leave it."""

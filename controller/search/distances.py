@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.kernel import kernel
-from controller.search.field import AIM, F, Field, G, GOAL, LOADED, OPEN, PLACE, READ, SIZE, may_enter, repair
+from controller.search.field import AIM, GOAL, LOADED, OPEN, PLACE, READ, SIZE, F, Field, G, may_enter, repair
 from controller.search.landmarks import Bounds, Landmarks
 from controller.search.landmarks import at_least as landmarks_say
 from controller.search.space import EXPANDED, GENERATED, HEAP_MOVES, VALID, Lanes, Space, by_air
 from controller.types import FOREVER, NEVER
-from sumo_nets.graph import FloatArray, IntArray
+from sumo_nets.graph import IntArray
 from sumo_nets.numbering import NO_VERTEX, EdgeIndex, Vertex
 
 

@@ -1,8 +1,8 @@
 """The search memory of one goal's distances, and how a whole one follows changes of what is blocked.
 
-See ``distances`` for what a state is. A whole field is repaired instead of searched anew (Ramalingam and Reps 1996): the
-states that have lost every tight way on are found in order of their distance, and only these, and the states that a
-freed vertex brings nearer, get new distances.
+See ``distances`` for what a state is. A whole field is repaired instead of searched anew (Ramalingam and Reps 1996):
+the states that have lost every tight way on are found in order of their distance, and only these, and the states that
+a freed vertex brings nearer, get new distances.
 """
 
 from __future__ import annotations
@@ -61,25 +61,25 @@ def repair(
         blocked: shape (n,), what is blocked now.
         counters: search work is added.
     """
-    states, loaded = field.states, field.meta[LOADED]
+    states = field.states
     doubtful = [(np.int32(0), np.int32(0)) for _ in range(0)]
     for w in changed:
         if not may_enter(w, field, blocked):
             for i in range(lanes.first_in[w], lanes.first_in[w + 1]):
                 _doubt(lanes.in_edges[i], doubtful, field, lanes, counters)
-    lost = [np.int32(0) for _ in range(0)]
+    lost = [0 for _ in range(0)]
     while doubtful:
         g, e = heapq.heappop(doubtful)
         counters[HEAP_MOVES] += 1
         counters[EXPANDED] += 1
-        if states[e, G] == g and _least_way_on(e, field, lanes, blocked) != g:
+        if states[e, G] == g and _least_way_on(int(e), field, lanes, blocked) != g:
             _doubt(e, doubtful, field, lanes, counters)
             states[e, G] = 0
             states[e, PLACE] = 0
-            lost.append(e)
+            lost.append(int(e))
     better = [(np.int32(0), np.int32(0)) for _ in range(0)]
-    for e in lost:
-        _improve(e, _least_way_on(e, field, lanes, blocked), better, field, counters)
+    for k in lost:
+        _improve(k, _least_way_on(k, field, lanes, blocked), better, field, counters)
     for w in changed:
         if may_enter(w, field, blocked):
             for i in range(lanes.first_in[w], lanes.first_in[w + 1]):

@@ -32,14 +32,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from controller.kernel import kernel
-from controller.search.distances import Distances, Field, at_least, closed, settle, start_at_least
+from controller.search.distances import Distances, at_least, closed, settle, start_at_least
+from controller.search.field import Field
 from controller.search.landmarks import Bounds
 from controller.search.reservations import (
     AGENT,
     EACH,
     END,
     HEAD,
-    NEXT,
     START,
     WORDS,
     ReservationTable,

@@ -1,0 +1,104 @@
+"""The planning window, which adapts to the traffic.
+
+Two rules. *Score* is that of the thesis's program (2025; the thesis itself leaves the window's course open): the
+congestion score is ``floor(keep * old) + wait edges + scc * SCCs`` of the conflicts met while planning; above ``up``
+the window grows by a step, below ``down`` it shrinks by one. It is for planners that report such conflicts.
+
+*Traffic* is for planners that search round reservations: they meet no conflicts, and few AGVs really wait. It makes
+what the thesis names as future work real: window, limits of partial CBS and StuckBoost by the density of requests and
+the frequency of deadlocks. The level of traffic, 0 to 1, is ``keep * old + (1 - keep) * now``; ``now`` is the share of
+the other AGVs that are under way beside the first one, or 1 while a deadlock is open. The window is the least one at
+level 0 and the greatest at level 1, in whole steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import networkx as nx
+
+from controller.types import AgvNumber
+
+
+@dataclass(frozen=True, slots=True)
+class WindowRange:
+    """Windows that suit a planner, in moves: at the start, the least and the greatest one. Defaults: the thesis's."""
+
+    start: int = 5
+    least: int = 5
+    most: int = 11
+
+
+@dataclass(frozen=True, slots=True)
+class WindowRule:
+    """How the window adapts.
+
+    Attributes:
+        step: change of the window at a time, moves.
+        keep: share of the old score or level that is kept at each planning call.
+        scc: weight of a strongly connected component in the score.
+        up, down: the window grows when the score is above ``up`` and shrinks below ``down``.
+    """
+
+    step: int = 2
+    keep: float = 0.6
+    scc: int = 5
+    up: int = 24
+    down: int = 10
+
+
+class Window:
+    """The window of one run.
+
+    Args:
+        moves: least, greatest and first window.
+        rule: how it adapts.
+
+    Attributes:
+        cells: the window now, moves.
+        score: the congestion score; 0 under the rule of traffic.
+        level: how much of its range the window takes up, 0 to 1.
+    """
+
+    def __init__(self, moves: WindowRange, rule: WindowRule) -> None:
+        self._moves = moves
+        self._rule = rule
+        self.cells = moves.start
+        self.score = 0
+        self.level = (moves.start - moves.least) / max(1, moves.most - moves.least)
+
+    def take_conflicts(self, edges: int, sccs: int) -> None:
+        """Adapt by the score.
+
+        Args:
+            edges: wait-for edges that the planner met in this call.
+            sccs: strongly connected components of two or more among them.
+        """
+        moves, rule = self._moves, self._rule
+        self.score = int(rule.keep * self.score) + edges + rule.scc * sccs
+        if self.score > rule.up:
+            self.cells = min(moves.most, self.cells + rule.step)
+        elif self.score < rule.down:
+            self.cells = max(moves.least, self.cells - rule.step)
+        self.level = (self.cells - moves.least) / max(1, moves.most - moves.least)
+
+    def take_traffic(self, under_way: int, agvs: int, deadlock: bool) -> None:
+        """Adapt by density and deadlocks.
+
+        Args:
+            under_way: AGVs that have somewhere to go.
+            agvs: AGVs in all.
+            deadlock: some deadlock is open.
+        """
+        moves, rule = self._moves, self._rule
+        now = 1.0 if deadlock else max(0, under_way - 1) / max(1, agvs - 1)
+        self.level = rule.keep * self.level + (1 - rule.keep) * now
+        steps = round(self.level * (moves.most - moves.least) / rule.step)
+        self.cells = min(moves.most, moves.least + steps * rule.step)
+
+
+def count_sccs(edges: Sequence[tuple[AgvNumber, AgvNumber]]) -> int:
+    """Strongly connected components of two or more agents in a wait-for graph."""
+    graph: nx.DiGraph[AgvNumber] = nx.DiGraph(edges)
+    return sum(len(members) > 1 for members in nx.strongly_connected_components(graph))
