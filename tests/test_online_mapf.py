@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -89,3 +90,13 @@ def test_the_one_line_grid_has_what_was_asked_for():
     for measures in (OneLine(robots=0), OneLine(narrow=2, passing=3), OneLine(picking=0)):
         with pytest.raises(LayoutError, match="is not valid"):
             one_line_layout("grid", measures)
+
+
+@pytest.mark.parametrize(("short_moves", "cells"), [(0, ["0", "1"]), (1, ["0"])])
+def test_what_is_too_short_to_be_worth_sending_is_not_sent(short_moves, cells):
+    """The way is free as far as cell 1; whoever stands in cell 2 leaves for the bay later."""
+    graph = line({"bay": "2"})
+    leaves = Path(7, (graph.index["2"], graph.index["bay"]), (0, 20), (18,))
+    asked = replace(problem(graph, ("0", "5")), fixed=(leaves,))
+    result = make_online_mapf(graph, asked.motion, OnlineMapfOptions(short_moves=short_moves))(asked)
+    assert [graph.names[v] for v in result.paths[0].vertices] == cells

@@ -35,11 +35,11 @@ class OnlineMapfOptions:
 
     Attributes:
         permutations: orders of priority tried in one call, at most.
-        least_moves: paths of fewer moves that don't reach the goal are dropped.
+        short_moves: paths of so many moves or fewer that end before the goal, at a wait, are not sent; 0 sends all.
     """
 
     permutations: int = field(default=50, metadata={"least": 1})
-    least_moves: int = 1
+    short_moves: int = 0
 
 
 class OnlineMapf:
@@ -123,7 +123,7 @@ class OnlineMapf:
 
     def _shorten(self, path: Path, problem: PlanningProblem) -> Path:
         short = cut_at_wait(path, problem)
-        if len(short.vertices) - 1 < min(self.options.least_moves, len(path.vertices) - 1):
+        if len(short.vertices) < len(path.vertices) and len(short.vertices) - 1 <= self.options.short_moves:
             return cut(path, 0)
         return short
 
