@@ -17,6 +17,8 @@ ROOT = Path(__file__).parent.parent
 #: ``Planner`` is an alias, which holds no docstring: the example of ``PlanningProblem`` is a planner.
 WITHOUT_EXAMPLE = {"Planner", "__version__"}
 USER_FILE = """
+import matplotlib.pyplot as plt
+
 import parking_sim as ps
 
 
@@ -38,6 +40,8 @@ scenario: ps.Scenario = ps.load_scenario("map1", {"plant": "discrete", "duration
 planner: ps.Planner = stay
 summary: ps.Summary = ps.simulate(scenario, "runs/first", progress=tell)
 print(summary, longest_wait("runs/first"), ps.__version__)
+figure, axes = plt.subplots()
+axes.plot(ps.load_run("runs/first").timeline["time_s"])
 print(ps.load_runs("runs").runs[["run", "status"]])
 with ps.Simulation(scenario) as sim:
     while sim.step():

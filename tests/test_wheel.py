@@ -15,14 +15,15 @@ PACKAGES = ("parking_sim", "sumo_nets", "controller", "demand", "analysis")
 PIP = (sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "--no-input")
 OFFLINE = ("--no-deps", "--no-index")
 SCRIPT = """
-import matplotlib
+import matplotlib.pyplot as plt
 
-matplotlib.use("agg")
 import parking_sim as ps
 
 summary = ps.simulate(ps.load_scenario("map1", {"duration_s": 120.0}), "runs/first")
 run = ps.load_run("runs/first")
-run.timeline.plot(x="time_s", y="parked").figure.savefig("parked.svg")
+figure, axes = plt.subplots()
+axes.plot(run.timeline["time_s"], run.timeline["parked"])
+figure.savefig("parked.svg")
 print(ps.__file__, summary)
 """
 QUICK = "{garage: map1, agvs: 2, plant: discrete, workload: {kind: park_exit, cars: 2}}"
@@ -72,10 +73,11 @@ def test_a_wheel_alone_runs_loads_plots_and_answers(tmp_path: Path) -> None:
     home.mkdir()
     (home / "quick.yaml").write_text(QUICK, encoding="utf-8")
 
+    environment = {**os.environ, "PYTHONPATH": str(site), "MPLBACKEND": "agg"}
+
     def call(*words: str) -> str:
         done = subprocess.run(
-            [sys.executable, *words], cwd=home, env={**os.environ, "PYTHONPATH": str(site)}, capture_output=True,
-            text=True, check=False,
+            [sys.executable, *words], cwd=home, env=environment, capture_output=True, text=True, check=False
         )  # fmt: skip
         assert done.returncode == 0, (words, done.stdout + done.stderr)
         return done.stdout
