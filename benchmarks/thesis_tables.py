@@ -107,6 +107,7 @@ TABLES: Mapping[str, Table] = {
     "thesis-ratio": _metric("valid_ratio"),
     "thesis-bound": _metric("bound_share"),
     "thesis-deadlocks": _metric("deadlocks_found"),
+    "thesis-rings": _metric("wait_rings"),
     "thesis-slips": Table("thesis", lambda rows: slips_table().splitlines()),
     "thesis-seeds": Table("thesis_seeds", show_seeds),
     "thesis-more": Table("thesis_more", show_more),

@@ -5,16 +5,13 @@ constraint tree (Sharon et al. 2015) is searched best first until a limit ends t
 constraints. A plan of the group costs ``moves + 0.5 waits + 0.1 residual``; the residual is the Manhattan distance, in
 cells, that is left to go at the end of the window.
 
-Departures from the thesis's program:
+Our choices where the thesis is silent:
 
-- A single plan ends at the window's end, with as little as possible left to go. The program keeps the state of least
-  ``g + Manhattan`` that it has expanded, which is the start whenever the goal lies beyond the window: its CBS then
-  "succeeds" with everybody standing still.
-- What is left to go is read from the AGV's own D* Lite where that has found it, and is bounded from below elsewhere.
-  The program takes the Manhattan distance, through walls and parked cars.
-- Parked cars are obstacles. In the program only walls are.
-- A child of the tree plans the constrained agent anew; the program plans all of them, with the same result.
-- Turns are left out of the costs. The program adds the turn before the first move.
+- A single plan ends at the window's end, with as little as possible left to go, which is read from the AGV's own D* Lite
+  where that has found it, and is bounded from below elsewhere. The cost of a group's plan has the Manhattan distance.
+- Parked cars are obstacles.
+- A child of the tree plans the constrained agent alone anew.
+- Turns are left out of the costs.
 """
 
 from __future__ import annotations

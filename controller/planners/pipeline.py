@@ -12,24 +12,18 @@ resolved in pairs. Neighbours are ranked as under ``astar`` and ``dstar_lite``.
 Guarantee: the moves of one call are free of conflicts. Limits: nothing is remembered between calls but the searches, so
 that AGVs may undo one call's moves in the next one, for ever. Neither complete nor optimal.
 
-Departures from pseudo-code 3, as in the authors' program:
+Departures from pseudo-code 3:
 
-- An AGV whose next cell is reserved goes to the best neighbour that is free, however far round, instead of staying;
-  ``sidestep: false`` has the pseudo-code to the letter. (The program ranks staying at g + 1e-6, but its loop replaces
-  that by the next free neighbour.) Each reserved neighbour, and a reserved place of its own, is an edge.
-
-Departures from the program:
-
+- An AGV whose next cell is reserved goes to the best neighbour that is free, however far round, instead of staying; only
+  so do moves and steps come near the printed ones. ``sidestep: false`` has the pseudo-code to the letter. Each reserved
+  neighbour, and a reserved place of its own, is an edge.
 - AGVs without anything to do are reserved for the whole window, and closed to the searches like parked cars. The
-  program forgets them after t = 0, and lets others drive through them.
-- An AGV that can't set out yet (it turns, lifts, charges) is reserved where it stands until it can. The program plans
-  those that turn as if they moved.
-- CBS has to move somebody, or it has failed; see ``partial_cbs`` for what else differs there.
-- Each strongly connected component is a group of its own, of its members of highest priority; the program puts all into
-  one, in order of their numbers.
+  authors' program forgets them after t = 0, and lets others drive through them.
+- An AGV that can't set out yet (it turns, lifts, charges) is reserved where it stands until it can.
+- CBS has to move somebody, or it has failed; the program's CBS succeeds without progress. See ``partial_cbs``.
+- Each strongly connected component is a group of its own, of its members of highest priority.
 - The others pull over only if one of them stands in the leader's way, and not to where another one still stands.
-- Of two that meet in the end the one of lower priority stays. In the program one that brings a car goes before one on
-  its way home without a car, whatever their priorities. Nobody moves to a place that is not left in the same step.
+- Of two that meet in the end the one of lower priority stays. Nobody moves to a place that is not left in the same step.
 - Fixed paths are reserved as a whole, since they are no plans of this planner. Where bodies need both places while they
   drive (``Motion.following`` False) a place that is being left is not entered.
 """
@@ -72,7 +66,7 @@ class PipelineOptions:
     """Limits and weights. The defaults are those of the thesis's program.
 
     Attributes:
-        sidestep: an AGV whose next cell is reserved goes to the best free neighbour, as in the program; else it stays,
+        sidestep: an AGV whose next cell is reserved goes to the best free neighbour; else it stays,
             as in pseudo-code 3.
         wait_edges: edges of the wait-for graph at most.
         group: AGVs of a deadlock that are planned together at most.

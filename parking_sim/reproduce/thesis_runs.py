@@ -43,6 +43,8 @@ METRICS: Mapping[str, str] = {
     "slot_choice_expanded": "nodes expanded to choose slots",
     "deadlocks_found": "deadlocks found",
     "deadlocks_unresolved": "deadlocks left",
+    "wait_edges": "wait-for edges (`pipeline`: met while planning; else of AGVs that really wait), summed over calls",
+    "wait_rings": "rings of these edges, summed over calls",
 }
 
 #: Planners of what goes beyond the tables. A* takes the same moves as D* Lite.
