@@ -7,8 +7,8 @@ cells, that is left to go at the end of the window.
 
 Our choices where the thesis is silent:
 
-- A single plan ends at the window's end, with as little as possible left to go, which is read from the AGV's own D* Lite
-  where that has found it, and is bounded from below elsewhere. The cost of a group's plan has the Manhattan distance.
+- A single plan ends at the window's end, with as little as possible left to go. That is read from the AGV's own D* Lite
+  where D* Lite has found it, and is bounded from below elsewhere. A group's cost has the Manhattan distance.
 - Parked cars are obstacles.
 - A child of the tree plans the constrained agent alone anew.
 - Turns are left out of the costs.

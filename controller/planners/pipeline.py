@@ -14,8 +14,8 @@ that AGVs may undo one call's moves in the next one, for ever. Neither complete 
 
 Departures from pseudo-code 3:
 
-- An AGV whose next cell is reserved goes to the best neighbour that is free, however far round, instead of staying; only
-  so do moves and steps come near the printed ones. ``sidestep: false`` has the pseudo-code to the letter. Each reserved
+- An AGV whose next cell is reserved goes to the best neighbour that is free, however far round, instead of staying.
+  Only so do moves and steps come near the printed ones. ``sidestep: false`` has the pseudo-code to the letter. Each reserved
   neighbour, and a reserved place of its own, is an edge.
 - AGVs without anything to do are reserved for the whole window, and closed to the searches like parked cars. The
   authors' program forgets them after t = 0, and lets others drive through them.
@@ -23,7 +23,8 @@ Departures from pseudo-code 3:
 - CBS has to move somebody, or it has failed; the program's CBS succeeds without progress. See ``partial_cbs``.
 - Each strongly connected component is a group of its own, of its members of highest priority.
 - The others pull over only if one of them stands in the leader's way, and not to where another one still stands.
-- Of two that meet in the end the one of lower priority stays. Nobody moves to a place that is not left in the same step.
+- Of two that meet in the end the one of lower priority stays. Nobody moves to a place that is not left in the same
+  step.
 - Fixed paths are reserved as a whole, since they are no plans of this planner. Where bodies need both places while they
   drive (``Motion.following`` False) a place that is being left is not entered.
 """
