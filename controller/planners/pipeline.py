@@ -15,8 +15,8 @@ that AGVs may undo one call's moves in the next one, for ever. Neither complete 
 Departures from pseudo-code 3:
 
 - An AGV whose next cell is reserved goes to the best neighbour that is free, however far round, instead of staying.
-  Only so do moves and steps come near the printed ones. ``sidestep: false`` has the pseudo-code to the letter. Each reserved
-  neighbour, and a reserved place of its own, is an edge.
+  Only so do moves and steps come near the printed ones. ``sidestep: false`` has the pseudo-code to the letter. Each
+  reserved neighbour, and a reserved place of its own, is an edge.
 - AGVs without anything to do are reserved for the whole window, and closed to the searches like parked cars. The
   authors' program forgets them after t = 0, and lets others drive through them.
 - An AGV that can't set out yet (it turns, lifts, charges) is reserved where it stands until it can.
