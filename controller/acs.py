@@ -205,7 +205,7 @@ class Acs:
         if self.garage.handover == "home":
             chosen = {n: self.agvs[n].home for n in waiting}
         else:
-            chosen = self._claims.promise_bays(waiting, self._step, self.outages.closed, self.planning.rests)
+            chosen = self._claims.promise_bays(waiting, self._step, self.outages.closed, self.planning.flags.rests)
         for n, job in waiting.items():
             agv = self.agvs[n]
             if n in chosen:

@@ -14,6 +14,7 @@ from controller.deadlock.cut_off import find_cut_off
 from controller.deadlock.ladder import Ladder, LadderLimits
 from controller.deadlock.waits import Progress, wait_graph
 from controller.executor import Executor
+from controller.flags import flags_of
 from controller.fleet import Agv, StuckBoost, priority
 from controller.reordering import reorder
 from controller.replanning import anybody_stands, waits_ahead, without_plan
@@ -107,7 +108,7 @@ class Planning:
         log: takes events.
 
     Attributes:
-        rests: everybody's plan can be carried out to its end, so that an AGV may be sent where one is about to leave.
+        flags: what the planner says of itself.
         calls: planning calls since they were last taken.
         counters: search work of the whole run.
         slot_choice: vertices expanded for assignments since the last call; the next call's counters take them.
@@ -124,20 +125,16 @@ class Planning:
         log: Log,
     ) -> None:
         self._planner = planner
-        self._complete = bool(getattr(planner, "complete", False))
-        self.rests = self._complete and bool(getattr(planner, "rests", False))
-        self._improves = self._complete and bool(getattr(planner, "improves", False))
-        self._keeps = not self._complete and bool(getattr(planner, "keeps", False))
+        self.flags = flags_of(planner)
         self._options = options
         self._agvs = agvs
         self._executor = executor
         self._rules = rules
         self._costs = costs
         self._log = log
-        self._progress = Progress(executor, agvs, costs, self._complete)
+        self._progress = Progress(executor, agvs, costs, self.flags.complete)
         self._ladder = Ladder(options.ladder, executor, agvs, self._progress, log)
-        self._window = Window(_moves(planner, options), options.window)
-        self._meets_conflicts = bool(getattr(planner, "meets_conflicts", False))
+        self._window = Window(_moves(self.flags.window, options), options.window)
         self._last = -options.period_steps
         self._changed = True
         self._expected: frozenset[tuple[AgvNumber, Vertex]] = frozenset()
@@ -183,7 +180,7 @@ class Planning:
         result.counters.slot_choice, self.slot_choice = self.slot_choice, 0
         self._take(step, problem, result)
         met = self._watch(step, problem) if self._rules.resolve_deadlocks else (0, 0)
-        if self._meets_conflicts:
+        if self.flags.meets_conflicts:
             met = len(result.waits), count_sccs(result.waits)
         window = self._window.cells
         self._adapt(*met)
@@ -199,7 +196,7 @@ class Planning:
                 problem.window_steps,
                 result.counters,
                 wall_s,
-                0 if self._complete else window,
+                0 if self.flags.complete else window,
                 self._window.score,
                 *met,
             )
@@ -233,7 +230,7 @@ class Planning:
     def _under_way(self) -> bool:
         if self._ladder.resolving:
             return True
-        if self._complete:
+        if self.flags.complete:
             return bool(self._to_plan())
         return any(agv.goal != a.last or a.pending for agv, a in zip(self._agvs, self._executor.agvs, strict=True))
 
@@ -241,7 +238,7 @@ class Planning:
         """AGVs to plan for: with complete paths those whose path does not end at their goal, else all that can."""
         locked = self._ladder.locked
         free = [agv for agv in self._agvs if agv.number not in locked and not agv.immobile]
-        if not self._complete:
+        if not self.flags.complete:
             return free
         ends: Numbered[AgvNumber, Vertex] = [a.pending[-1] if a.pending else a.last for a in self._executor.agvs]
         return [agv for agv in free if ends[agv.number] != agv.heads_for or agv.number in self._meeting]
@@ -250,18 +247,18 @@ class Planning:
         ex, locked = self._executor, self._ladder.locked
         immobile = {agv.number for agv in self._agvs if agv.immobile}
         fixed = trails(ex, step, immobile)
-        window = FOREVER if self._complete else self._window.cells * self._rules.cell_steps
+        window = FOREVER if self.flags.complete else self._window.cells * self._rules.cell_steps
         asked = self._to_plan()
         carried: tuple[Path, ...] = ()
-        if locked or immobile or self._complete or self._keeps:
+        if locked or immobile or self.flags.complete or self.flags.keeps:
             # who rests at the end of a window goes on in the next one: nobody's way ends there
-            leaving = {} if self._complete else {agv.number: window for agv in self._agvs}
+            leaving = {} if self.flags.complete else {agv.number: window for agv in self._agvs}
             timed = retime(ex, step, {n: t for n, t in leaving.items() if n not in locked | immobile})
-            fixed += [path for n, path in timed.items() if self._complete or n in locked or n in immobile]
-            carried = tuple(timed[agv.number] for agv in asked) if self._keeps else ()
+            fixed += [path for n, path in timed.items() if self.flags.complete or n in locked or n in immobile]
+            carried = tuple(timed[agv.number] for agv in asked) if self.flags.keeps else ()
         agents = tuple(self._agent(agv, step) for agv in asked)
         carrying: tuple[PlanAgent, ...] = ()
-        if self._improves:
+        if self.flags.improves:
             given = {*locked, *(agent.agv for agent in agents)}
             carrying = tuple(self._agent(agv, step) for agv in self._agvs if agv.number not in given | immobile)
         return PlanningProblem(
@@ -304,16 +301,15 @@ class Planning:
 
     def _adapt(self, edges: int, rings: int) -> None:
         """Let the window follow the conflicts that the planner met, or the traffic."""
-        if self._meets_conflicts:
+        if self.flags.meets_conflicts:
             self._window.take_conflicts(edges, rings)
-        elif not self._complete:
+        elif not self.flags.complete:
             under_way = sum(agv.goal != a.last for agv, a in zip(self._agvs, self._executor.agvs, strict=True))
             self._window.take_traffic(under_way, len(self._agvs), self._ladder.resolving)
 
 
-def _moves(planner: Planner, options: ControlOptions) -> WindowRange:
+def _moves(own: WindowRange, options: ControlOptions) -> WindowRange:
     """The range of the window: what is given, and the planner's own as far as that agrees with it."""
-    own: WindowRange = getattr(planner, "window", WindowRange())
     start, least, most = options.window_cells, options.window_min, options.window_max
     given = [moves for moves in (start, least, most) if moves is not None]
     if least is None:

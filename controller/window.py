@@ -23,11 +23,20 @@ from controller.types import AgvNumber
 
 @dataclass(frozen=True, slots=True)
 class WindowRange:
-    """Windows that suit a planner, in moves: at the start, the least and the greatest one. Defaults: the thesis's."""
+    """Windows that suit a planner, in moves: at the start, the least and the greatest one. Defaults: the thesis's.
+
+    Raises:
+        ValueError: they are not in order, or below 1.
+    """
 
     start: int = 5
     least: int = 5
     most: int = 11
+
+    def __post_init__(self) -> None:
+        """Check the order."""
+        if not 1 <= self.least <= self.start <= self.most:
+            raise ValueError(f"{self}: give 1 <= least <= start <= most")
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,16 +11,22 @@ from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
+from whole_runs import run
 
+from controller.flags import PlannerFlags, flags_of
 from controller.planners.contract import check_planner, random_problem, violations
 from controller.planners.table import ENTRY_POINTS, PLANNERS, load_planner
 from controller.types import FOREVER, Path, PlanAgent, PlanningProblem, Status, make_motion
+from controller.window import WindowRange
 from parking_sim.cli import main
 from parking_sim.config import load_scenario
 from parking_sim.simulation import simulate
 from sumo_nets.movingai import grid_graph
 
 OWN = FilePath(__file__).parents[1] / "docs" / "examples" / "own_planner.py"
+
+#: A short run with AGVs in each other's way.
+BUSY = {"garage": "map1", "agvs": 8, "plant": "discrete", "workload": {"kind": "park_exit", "cars": 6}}
 
 #: Options that keep the tests quick.
 QUICK = {"lacam": {"proposals": 100}, "cbs": {"expansions": 50}}
@@ -181,6 +187,96 @@ def test_a_planner_that_fails_ends_a_run_with_one_line(tmp_path, capsys, functio
     said = capsys.readouterr()
     assert (end.value.code, said.out) == (2, "")
     assert said.err == f"error: {file}:{function} {reason}\n"
+
+
+FLAGS = """
+from controller.planners.token import make_token
+from controller.planners.whca import make_whca
+from controller.types import Path, PlanResult, Status
+from controller.window import WindowRange
+class Wrapped:
+    def __init__(self, make):
+        self.make, self.made = make, None
+    def __call__(self, problem):
+        self.made = self.made or self.make(problem.graph, problem.motion)
+        return self.made(problem)
+whca, token, timid = Wrapped(make_whca), Wrapped(make_token), Wrapped(make_whca)
+whca.window, whca.keeps = WindowRange(11, 11, 31), True
+token.complete = token.rests = token.improves = True
+timid.window, timid.meets_conflicts = WindowRange(4, 3, 6), True
+def stay(problem):
+    paths = {a.agv: Path(a.agv, (a.vertex,), (0,), (), until=1) for a in problem.agents}
+    return PlanResult(Status.SOLVED, paths)
+def move(problem):
+    return stay(problem)
+move.one_move = True
+def number(problem): ...
+number.window = 7
+def word(problem): ...
+word.complete = "no"
+def alone(problem): ...
+alone.rests = True
+def both(problem): ...
+both.complete = both.keeps = True
+"""
+
+
+@pytest.fixture
+def flagged(tmp_path):
+    """A file with planners of a user's own that say things of themselves."""
+    file = tmp_path / "flagged.py"
+    file.write_text(FLAGS, encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize("name", ["whca", "token"])
+def test_a_built_in_planner_in_a_users_file_makes_the_same_record(flagged, name):
+    """It does only if its flags arrive: ``whca`` has another window, and keeps plans; ``token`` is given other problems."""
+    runs = [run(flagged.parent / str(n), planner=p, **BUSY).meta for n, p in enumerate((name, f"{flagged}:{name}"))]
+    assert runs[0]["digest"] == runs[1]["digest"]
+
+
+def test_a_users_own_window_is_the_window(flagged):
+    cells = run(flagged.parent / "run", planner=f"{flagged}:timid", **BUSY).planning.window_cells
+    assert (cells.iloc[0], set(cells)) == (4, {4, 3}), "no conflicts are met, so that it shrinks to the least"
+
+
+@pytest.mark.parametrize(("function", "complaints"), [("stay", 1), ("move", 0)])
+def test_a_path_that_ends_with_the_move_is_whole_for_planners_of_one_move(flagged, function, complaints):
+    problem = random_problem(7, 20)
+    planner = load_planner(f"{flagged}:{function}", problem.graph, problem.motion, {})
+    reasons = violations(planner, problem)
+    assert any("is kept until step 1 only" in reason for reason in reasons) == bool(complaints)
+
+
+def test_every_flag_arrives_and_has_its_line_in_the_page(flagged):
+    page = OWN.parents[1].joinpath("own_planner.md").read_text(encoding="utf-8")
+    problem = random_problem(0)
+    for flag in fields(PlannerFlags):
+        assert f"`{flag.name}`" in page
+    for name, flags in {
+        "whca": PlannerFlags(keeps=True, window=WindowRange(11, 11, 31)),
+        "token": PlannerFlags(complete=True, rests=True, improves=True),
+        "timid": PlannerFlags(meets_conflicts=True, window=WindowRange(4, 3, 6)),
+        "stay": PlannerFlags(),
+        "move": PlannerFlags(one_move=True),
+    }.items():
+        assert flags_of(load_planner(f"{flagged}:{name}", problem.graph, problem.motion, {})) == flags
+
+
+@pytest.mark.parametrize(
+    ("function", "reason"),
+    [
+        ("number", "window = 7: give WindowRange(start, least, most)"),
+        ("word", "complete = 'no': give True or False"),
+        ("alone", "rests = True: needs complete = True"),
+        ("both", "keeps = True: not with complete = True"),
+    ],
+)
+def test_a_flag_that_cant_be_is_named(flagged, capsys, function, reason):
+    with pytest.raises(SystemExit) as end:
+        main(["check-planner", f"{flagged}:{function}"])
+    assert (end.value.code, capsys.readouterr().err) == (2, f"error: check-planner: '{flagged}:{function}': {reason}\n")
 
 
 SMALL = "garage: map1\nagvs: 2\nplant: discrete\nworkload: {kind: park_exit, cars: 3}\n"

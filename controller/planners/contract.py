@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from controller.conflicts import validate
+from controller.flags import flags_of
 from controller.planners.table import PlannerError
 from controller.types import FOREVER, AgvNumber, Motion, Path, PlanAgent, Planner, PlanningProblem, Status, make_motion
 from sumo_nets.graph import Graph, make_graph
@@ -51,7 +52,7 @@ def check_planner(make: Maker, problems: int = 200) -> Iterator[Finding]:
         problem = random_problem(number)
         try:
             planner = make(problem.graph, problem.motion)
-            if getattr(planner, "complete", False):
+            if flags_of(planner).complete:
                 problem = all_standing(random_problem(number, FOREVER))
             reasons = violations(planner, problem)
             if not reasons and planner(problem).paths != make(problem.graph, problem.motion)(problem).paths:
@@ -73,7 +74,7 @@ def violations(planner: Planner, problem: PlanningProblem) -> list[str]:
         return reasons + ([f"{result.status} with paths"] if result.paths else [])
     if (result.status is Status.PARTIAL) != bool(result.failed):
         reasons.append(f"{result.status} with {len(result.failed)} agents named as failed")
-    return reasons + validate(problem, result, bool(getattr(planner, "one_move", False)))
+    return reasons + validate(problem, result, flags_of(planner).one_move)
 
 
 def random_problem(number: int, window: int | None = None) -> PlanningProblem:

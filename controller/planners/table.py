@@ -11,6 +11,7 @@ from pathlib import Path
 from traceback import extract_tb
 from typing import Any
 
+from controller.flags import FLAGS, flags_of
 from controller.types import Motion, Planner, PlanningProblem, PlanResult
 from controller.types import Path as AgvPath
 from sumo_nets.errors import InputError
@@ -54,15 +55,22 @@ class OwnPlanner:
     name: str
     function: Planner
 
-    @property
-    def complete(self) -> bool:
-        """It plans complete paths, see ``Token``."""
-        return bool(getattr(self.function, "complete", False))
+    def __post_init__(self) -> None:
+        """Check its flags.
 
-    @property
-    def one_move(self) -> bool:
-        """It plans one move, see ``OneStep``."""
-        return bool(getattr(self.function, "one_move", False))
+        Raises:
+            ValueError: see ``PlannerFlags``.
+        """
+        try:
+            flags_of(self.function)
+        except ValueError as error:
+            raise ValueError(f"{self.name!r}: {error}") from None
+
+    def __getattr__(self, name: str) -> object:
+        """Its flags are those of the function."""
+        if name in FLAGS:
+            return getattr(self.function, name)
+        raise AttributeError(name)
 
     def __call__(self, problem: PlanningProblem) -> PlanResult:
         """Have it plan.
