@@ -231,7 +231,7 @@ def flagged(tmp_path):
 
 @pytest.mark.parametrize("name", ["whca", "token"])
 def test_a_built_in_planner_in_a_users_file_makes_the_same_record(flagged, name):
-    """It does only if its flags arrive: ``whca`` has another window, and keeps plans; ``token`` is given other problems."""
+    """It does only if its flags arrive: ``whca`` has another window and keeps plans, ``token`` has other problems."""
     runs = [run(flagged.parent / str(n), planner=p, **BUSY).meta for n, p in enumerate((name, f"{flagged}:{name}"))]
     assert runs[0]["digest"] == runs[1]["digest"]
 
