@@ -333,7 +333,7 @@ def test_a_deadlock_that_dissolves_by_itself_is_over():
 
     yard = Yard(SIDING, "BE CA", replace(LIMITS, group=1, widen=0), late)
     yard.planning._ladder._stages = lambda *_: (None, set())
-    yard.planning._ladder._together = lambda *_: None
+    yard.planning._ladder._together = lambda *_: (None, False)
     assert yard.run()
     assert yard.stages == ["replanned"]
 

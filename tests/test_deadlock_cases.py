@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from brute_force import problems
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from test_deadlock import CORRIDOR, DEEP_SIDING, LIMITS, NO_CBS, RING, SIDING, SQUARE, TICKS, Yard, drawn, nobody_moves
 
+from controller.conflicts import find_conflicts
+from controller.planners.lacam import LacamOptions, make_lacam
 from controller.planners.whca import make_whca
+from controller.types import FOREVER, Status
 
 TWO_RINGS = drawn("""
 A>B
@@ -15,6 +22,14 @@ A>B
 D<C>F
   ^ v
   H<G
+""")
+
+FAR_POCKET = drawn("""
+  T
+  |
+  S     K
+  |     |
+A-B-C-D-E-F
 """)
 
 #: Graph, ways, limits, first cause and members, rungs in their order, ticks at most; nobody moves but by the ladder.
@@ -28,6 +43,7 @@ BY_THE_LADDER = {
     "two rings that share an AGV": (
         TWO_RINGS, "BF CD DA AB FG GH HC", LIMITS, "ring", (0, 1, 2, 3), ["pull_over", "partial_cbs"], 6,
     ),
+    "an idle AGV that has to go to the far end": (FAR_POCKET, "SS TT BB FA", LIMITS, "idle", (2, 3), ["lacam"], 13),
 }  # fmt: skip
 
 #: Graph, ways, ticks at most, and the rungs used, under the planner ``whca``.
@@ -38,7 +54,7 @@ UNDER_WHCA = {
     "a chain of three": (SIDING, "AD BE CC", 3, []),
     "an idle AGV, its pocket behind the other one": (SIDING, "AE DD", 10, ["lacam"]),
     "three meet, two of them from one side": (SIDING, "AE BD EA", 25, ["leader", "lacam"]),
-    "three in a dead end": (DEEP_SIDING, "DD BS TB", 16, ["lacam"]),
+    "three in a dead end": (DEEP_SIDING, "DD BS TB", 16, []),
 }
 
 
@@ -100,3 +116,39 @@ def test_limits_may_change_during_a_run():
     yard.planning._ladder.limits = LIMITS
     assert yard.run(3)
     assert yard.stages == ["partial_cbs"]
+
+
+def test_what_has_no_solution_is_said_to_have_none_and_is_not_tried_again_where_nothing_changes():
+    yard = Yard(CORRIDOR, "BE CA")
+    assert not yard.run(100)
+    failed = [(d["stage"], d["reason"]) for d in yard.of_kind("stage_failed")]
+    assert failed.count(("lacam", "no solution")) == 1
+    assert failed[-1] == ("lacam", "no solution")
+    assert yard.planning.resolving
+
+
+@settings(max_examples=40, deadline=None)
+@given(problems(largest=6, agents=3, unit=True, window=FOREVER), st.data())
+def test_lacam_brings_a_leader_to_its_goal_where_that_is_possible(problem, data):
+    """And says so where it is not: looked for among all positions, one move into an empty place after the other."""
+    free = np.zeros(len(problem.graph.names), dtype=np.uint8)
+    all_bends = np.zeros_like(problem.motion.turn_steps)
+    motion = replace(problem.motion, turn_steps=all_bends, rotation_steps=all_bends)
+    problem = replace(problem, motion=motion, blocked=free, no_rest=free)
+    leader = data.draw(st.sampled_from(range(len(problem.agents))))
+    start, goal = tuple(agent.vertex for agent in problem.agents), problem.agents[leader].goal
+    queue, seen = [start], {start}
+    for at in queue:
+        for i, v in enumerate(at):
+            for w in problem.graph.successors[v]:
+                after = (*at[:i], w, *at[i + 1 :])
+                if w not in at and after not in seen:
+                    seen.add(after)
+                    queue.append(after)
+    lacam = make_lacam(problem.graph, motion, LacamOptions(proposals=10**6, improve=0.0))
+    result = lacam.resolve(problem, problem.agents[leader].agv)
+    if any(at[leader] == goal for at in seen):
+        assert result.paths[problem.agents[leader].agv].vertices[-1] == goal
+        assert find_conflicts(result.paths.values(), motion) == []
+    else:
+        assert (result.status, result.paths) == (Status.INFEASIBLE, {})

@@ -8,7 +8,11 @@ Stages, after the thesis (2025, III-4), each over the reservations of everybody 
    way; every member is tried as the leader, in order of priority.
 4. *widen*: whoever cut off the last possibility joins the group, and the stages are tried again.
 5. *lacam*: when nobody is left who could join, LaCAM* moves all of the group together, as in a sliding puzzle, where a
-   leader has to give way as well before it can go on.
+   leader has to give way as well before it can go on. Where it finds no plan that brings all to their goals, one is
+   looked for that brings a leader to its own. After a climb in vain it may search for four times as long,
+   up to 256 times (but for an obstruction, where the fault ends by itself); then the time to the next climb doubles.
+   Where the search has shown that moves which are no rings cannot help, the deadlock is left alone until an AGV, a goal
+   or a closed place changes.
 
 A resolution counts only if it is progress that nothing can undo: its leader is an AGV that has not been at its goal
 since the goal was set, and it arrives there. An AGV that was pushed off its goal does not lead while there is another
@@ -27,6 +31,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from controller.deadlock.case import Deadlock, Resolution, situation_of
 from controller.deadlock.cut_off import CutOff
 from controller.deadlock.waits import Progress, WaitGraph
 from controller.executor import Executor
@@ -37,9 +42,14 @@ from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
 from controller.search.space import Space
-from controller.types import FOREVER, NO_AGV, AgvNumber, Log, Path, PlanAgent, PlanningProblem
+from controller.types import FOREVER, NO_AGV, AgvNumber, Log, Path, PlanAgent, PlanningProblem, Status
 from controller.visits import retime
-from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex
+from sumo_nets.numbering import NO_VERTEX, Numbered
+
+#: LaCAM* may propose so many times more after each of the first climbs in vain.
+_MORE = 4
+#: So many of them; from then on the time to the next climb doubles instead.
+_RAISES = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +57,7 @@ class LadderLimits:
     """Limits of deadlock resolution.
 
     Attributes:
-        patience_steps: the ladder is climbed again so long after it was climbed in vain.
+        patience_steps: the ladder is climbed again so long after it was climbed in vain, later twice as long each time.
         stuck_steps: an AGV that came no nearer to its goal for so long is stuck.
         group: partial CBS handles at most so many AGVs.
         cbs: its limits.
@@ -61,62 +71,6 @@ class LadderLimits:
     cbs: CbsLimits = field(default_factory=CbsLimits)
     widen: int = 12
     lacam: LacamOptions = field(default_factory=lambda: LacamOptions(proposals=2000, improve=0.5))
-
-
-@dataclass(slots=True)
-class Deadlock:
-    """A deadlock that is not over yet.
-
-    Attributes:
-        kind: "deadlock" or "obstruction".
-        number: count of its kind in the run.
-        members: AGVs found in it.
-        cause: "ring", "idle" or "stuck".
-        since: step at which the waiting began.
-        stage: the stage whose plan is being carried out, "" while there is none.
-        leader, goal, arrived: the AGV whose arrival is the progress, where it goes, and whether it is there.
-        locked: AGVs that still carry the plan out.
-        aside: AGVs that stand aside, with the vertices of their way there: nobody else of the group may want one of
-            them before they may leave.
-        best: sum of the costs to their goals that the AGVs of the plan had come to before it.
-        carried: stage and group of the plan that is, or was last, carried out.
-        in_vain: stages, with the group, whose plan was carried out without progress.
-        moved: last step at which one of them made headway, or at which the ladder was climbed in vain.
-        granted: vertices granted to the members when last looked at.
-        failures: how often the ladder was climbed in vain; each time another leader is tried first.
-    """
-
-    kind: str
-    number: int
-    members: tuple[AgvNumber, ...]
-    cause: str
-    since: int
-    stage: str = ""
-    leader: AgvNumber = NO_AGV
-    goal: Vertex = NO_VERTEX
-    arrived: bool = False
-    locked: set[AgvNumber] = field(default_factory=set)
-    aside: dict[AgvNumber, frozenset[Vertex]] = field(default_factory=dict)
-    best: int = 0
-    carried: tuple[str, frozenset[AgvNumber]] = ("", frozenset())
-    in_vain: set[tuple[str, frozenset[AgvNumber]]] = field(default_factory=set)
-    moved: int = 0
-    granted: int = 0
-    failures: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Resolution:
-    """A plan for a group, and the stage that found it."""
-
-    stage: str
-    leader: AgvNumber
-    paths: Mapping[AgvNumber, Path]
-
-    @property
-    def key(self) -> tuple[str, frozenset[AgvNumber]]:
-        """Stage and group."""
-        return self.stage, frozenset(self.paths)
 
 
 class Ladder:
@@ -183,7 +137,7 @@ class Ladder:
             elif not waiting.intersection(deadlock.members):
                 deadlock.stage, deadlock.leader = "replanned", deadlock.members[0]
                 self._close(deadlock, step)
-            elif step - deadlock.moved >= self.limits.patience_steps and not self.locked.intersection(deadlock.members):
+            elif step - deadlock.moved >= self._patience(deadlock) and not self.locked.intersection(deadlock.members):
                 self._resolve(deadlock, step, problem())
         taken = self.concerned
         for members, cause in self._candidates(step, waits):
@@ -192,6 +146,10 @@ class Ladder:
                 self._open.append(deadlock)
                 self._resolve(deadlock, step, problem())
                 taken.update(deadlock.members, deadlock.locked)
+
+    def _patience(self, deadlock: Deadlock) -> int:
+        """Steps from a climb in vain to the next one."""
+        return int(self.limits.patience_steps * 2 ** max(0, deadlock.failures - _RAISES))
 
     # --- finding --------------------------------------------------------------------------------------------------
 
@@ -305,6 +263,10 @@ class Ladder:
     # --- resolving ------------------------------------------------------------------------------------------------
 
     def _resolve(self, deadlock: Deadlock, step: int, problem: PlanningProblem) -> None:
+        situation = situation_of(problem)
+        if deadlock.hopeless == situation:
+            deadlock.moved = step
+            return
         agents = {a.agv: a for a in problem.agents}
         group = [n for n in deadlock.members if n in agents]
         while group:
@@ -320,8 +282,9 @@ class Ladder:
                 joining = [n for n in agents if n not in group]
             if not joining:
                 self._failed(deadlock, "widen", "nobody else can join")
-                together = self._together(deadlock, [agents[n] for n in group], whole)
+                together, proven = self._together(deadlock, [agents[n] for n in group], whole)
                 if not (together and self._take(deadlock, together, outside, step)):
+                    deadlock.hopeless = situation if proven else None
                     deadlock.in_vain.clear()
                     self._give_up(deadlock, step)
                 return
@@ -371,17 +334,32 @@ class Ladder:
             a.agv in paths and paths[a.agv].vertices[-1] == a.goal for a in group
         )
 
-    def _together(self, deadlock: Deadlock, group: list[PlanAgent], problem: PlanningProblem) -> Resolution | None:
-        """All move together until as many as possible are at their goals."""
-        result = self._lacam.resolve(replace(problem, agents=tuple(group)))
-        there = [a for a in group if a.agv in result.paths and a.agv not in result.failed]
-        leaders = self._leaders(sorted(there, key=lambda a: (-a.priority, a.agv)), deadlock.failures)
-        if leaders and self._is_progress(leaders[0], group, result.paths):
-            resolution = Resolution("lacam", leaders[0].agv, result.paths)
-            if resolution.key not in deadlock.in_vain:
-                return resolution
-        self._failed(deadlock, "lacam", result.status.value)
-        return None
+    def _together(
+        self, deadlock: Deadlock, group: list[PlanAgent], problem: PlanningProblem
+    ) -> tuple[Resolution | None, bool]:
+        """All move together until all are at their goals, or where that is too hard a leader is at its own.
+
+        Returns:
+            The resolution, and whether it is proven that there is none.
+        """
+        limits = self.limits.lacam
+        raises = 0 if deadlock.kind == "obstruction" else min(deadlock.failures, _RAISES)
+        self._lacam.options = replace(limits, proposals=limits.proposals * _MORE**raises)
+        whole = replace(problem, agents=tuple(group))
+        leaders = self._leaders(sorted(group, key=lambda a: (-a.priority, a.agv)), deadlock.failures)
+        alone = [a.agv for a in leaders if not self._progress.has_arrived(a.agv)]
+        proven = True
+        for aim in (NO_AGV, *alone):
+            result = self._lacam.resolve(whole, aim)
+            for leader in leaders:
+                there = leader.agv in result.paths and leader.agv not in result.failed
+                if there and self._is_progress(leader, group, result.paths):
+                    return Resolution("lacam", leader.agv, result.paths), False
+            proven &= result.status is not Status.TIMEOUT
+            if not proven and aim != NO_AGV:
+                break
+        self._failed(deadlock, "lacam", "no solution" if proven else "timeout")
+        return None, proven
 
     def _leader(
         self, leader: PlanAgent, group: list[PlanAgent], problem: PlanningProblem, blockers: set[AgvNumber]

@@ -115,8 +115,9 @@ class Lacam:
         """Plan for all agents of a problem, each to its goal.
 
         Returns:
-            SOLVED; without a window TIMEOUT when the proposals did not suffice and INFEASIBLE when some goal can't be
-            reached, both without paths. With a window those that come nearest to the goals are SOLVED.
+            SOLVED; without a window TIMEOUT when the proposals did not suffice, or the plan has a bend too sharp to
+            drive, and INFEASIBLE when some goal can't be reached, both without paths. With a window those that come
+            nearest to the goals are SOLVED.
         """
         result = self.resolve(problem)
         if result.status is Status.PARTIAL:
@@ -124,14 +125,17 @@ class Lacam:
             return PlanResult(Status.SOLVED, result.paths, {}, result.counters) if windowed else _none(result)
         return result
 
-    def resolve(self, problem: PlanningProblem) -> PlanResult:
+    def resolve(self, problem: PlanningProblem, leader: AgvNumber = NO_AGV) -> PlanResult:
         """The same for a deadlocked group.
 
+        Args:
+            problem: of the group; its members are the agents.
+            leader: the only one that has to come to its goal, which is far easier to find; ``NO_AGV``: all have to.
+
         Returns:
-            As ``__call__``, but PARTIAL, with a path for everybody, when some had to end elsewhere: ``failed`` names
-            them.
+            As ``__call__``, but PARTIAL, with a path for everybody, when some may end elsewhere: ``failed`` names them.
         """
-        search = _Search(problem, self._space, self._outward, self.options)
+        search = _Search(problem, self._space, self._outward, self.options, leader)
         status = search.run()
         counters = Counters(expanded=search.proposals, generated=len(search.known), valid=len(search.known))
         windowed = problem.window_steps < FOREVER
@@ -139,7 +143,7 @@ class Lacam:
             return PlanResult(status, {}, {}, counters)
         paths = timed_paths(problem, search.agents, search.configurations(), search.free_at)
         if any(path.arrive[-1] >= NEVER for path in paths.values()):
-            return PlanResult(Status.INFEASIBLE, {}, {}, counters)
+            return PlanResult(Status.TIMEOUT, {}, {}, counters)
         elsewhere = dict.fromkeys(search.elsewhere, NO_AGV)
         return PlanResult(Status.PARTIAL if elsewhere else Status.SOLVED, paths, elsewhere, counters)
 
@@ -151,8 +155,10 @@ def _none(result: PlanResult) -> PlanResult:
 class _Search:
     """The search of one call. Index ``i`` of an agent is its place in ``agents``, the highest priority first."""
 
-    def __init__(self, problem: PlanningProblem, space: Space, outward: IntArray, options: LacamOptions) -> None:
-        self.agents = sorted(problem.agents, key=lambda agent: (-agent.priority, agent.agv))
+    def __init__(
+        self, problem: PlanningProblem, space: Space, outward: IntArray, options: LacamOptions, leader: AgvNumber
+    ) -> None:
+        self.agents = sorted(problem.agents, key=lambda agent: (agent.agv != leader, -agent.priority, agent.agv))
         self.options = options
         self.lanes = space.lanes
         self.closed, self.free_at = obstacles(problem)
@@ -163,6 +169,13 @@ class _Search:
         self._successors = problem.graph.successors
         self._places_known: dict[tuple[int, Vertex], list[Vertex]] = {}
         self._goals, self.elsewhere, self.distance = self._aims()
+        self._leads, self._hopeless = leader != NO_AGV, leader in self.elsewhere
+        #: Moves left of those who have to come to their goals; the others make for theirs, too, but need not be there.
+        self._left = self.distance
+        if self._leads:
+            self._left = np.zeros_like(self.distance)
+            self._left[0] = self.distance[0]
+            self.elsewhere = [agent.agv for agent in self.agents[1:]]
         starts = np.array([agent.vertex for agent in self.agents], dtype=np.int32)
         self._moves = no_moves(starts, self._goals, outward, self.lanes)
         self.start = self._node(starts.copy(), None)
@@ -183,7 +196,7 @@ class _Search:
 
     def run(self) -> Status:
         """Search until the goals are reached and the effort for improvement is spent, or there is nothing left."""
-        OPEN = [self.start]
+        OPEN = [] if self._hopeless else [self.start]
         budget = self.options.proposals
         while OPEN and self.proposals < budget:
             N = OPEN[-1]
@@ -209,9 +222,11 @@ class _Search:
 
     def _node(self, Q: IntArray, parent: _Node | None) -> _Node:
         away = self.distance[np.arange(len(Q)), Q]
-        h = int(away.sum())
+        h = int(self._left[np.arange(len(Q)), Q].sum())
         if parent is None:
             rank = away / (1.0 + away.max(initial=0))
+            if self._leads:
+                rank[0] = FOREVER  # nobody overtakes the leader
             g = 0
         else:
             rank = np.where(away == 0, parent.rank % 1.0, parent.rank + 1.0)
@@ -225,7 +240,7 @@ class _Search:
         return node
 
     def _cost(self, Q_from: IntArray, Q_to: IntArray) -> int:
-        return int(_moves_paid(Q_from, Q_to, self.distance))
+        return int(_moves_paid(Q_from, Q_to, self._left))
 
     def _propose(self, N: _Node, C: _Constraint) -> IntArray | None:
         """The next configuration under a constraint, whose own children are put on the tree; None if impossible."""

@@ -1,0 +1,77 @@
+"""What the ladder knows of a deadlock, and a plan that resolves it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from controller.types import NO_AGV, AgvNumber, Path, PlanningProblem
+from sumo_nets.numbering import NO_VERTEX, Vertex
+
+#: Places and goals of all AGVs that can move, and what is closed to them.
+Situation = tuple[tuple[tuple[AgvNumber, Vertex, Vertex], ...], bytes, tuple[tuple[Vertex, ...], ...]]
+
+
+@dataclass(slots=True)
+class Deadlock:
+    """A deadlock that is not over yet.
+
+    Attributes:
+        kind: "deadlock" or "obstruction".
+        number: count of its kind in the run.
+        members: AGVs found in it.
+        cause: "ring", "idle" or "stuck".
+        since: step at which the waiting began.
+        stage: the stage whose plan is being carried out, "" while there is none.
+        leader, goal, arrived: the AGV whose arrival is the progress, where it goes, and whether it is there.
+        locked: AGVs that still carry the plan out.
+        aside: AGVs that stand aside, with the vertices of their way there: nobody else of the group may want one of
+            them before they may leave.
+        best: sum of the costs to their goals that the AGVs of the plan had come to before it.
+        carried: stage and group of the plan that is, or was last, carried out.
+        in_vain: stages, with the group, whose plan was carried out without progress.
+        moved: last step at which one of them made headway, or at which the ladder was climbed in vain.
+        granted: vertices granted to the members when last looked at.
+        failures: how often the ladder was climbed in vain; each time another leader is tried first, and LaCAM* with
+            more effort.
+        hopeless: the situation in which it is proven that there is no resolution: no climb until it changes.
+    """
+
+    kind: str
+    number: int
+    members: tuple[AgvNumber, ...]
+    cause: str
+    since: int
+    stage: str = ""
+    leader: AgvNumber = NO_AGV
+    goal: Vertex = NO_VERTEX
+    arrived: bool = False
+    locked: set[AgvNumber] = field(default_factory=set)
+    aside: dict[AgvNumber, frozenset[Vertex]] = field(default_factory=dict)
+    best: int = 0
+    carried: tuple[str, frozenset[AgvNumber]] = ("", frozenset())
+    in_vain: set[tuple[str, frozenset[AgvNumber]]] = field(default_factory=set)
+    moved: int = 0
+    granted: int = 0
+    failures: int = 0
+    hopeless: Situation | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Resolution:
+    """A plan for a group, and the stage that found it."""
+
+    stage: str
+    leader: AgvNumber
+    paths: Mapping[AgvNumber, Path]
+
+    @property
+    def key(self) -> tuple[str, frozenset[AgvNumber]]:
+        """Stage and group."""
+        return self.stage, frozenset(self.paths)
+
+
+def situation_of(problem: PlanningProblem) -> Situation:
+    """The situation in which a problem for the ladder is."""
+    places = tuple((a.agv, a.vertex, a.goal) for a in problem.agents)
+    return places, problem.blocked.tobytes(), tuple(path.vertices for path in problem.fixed)
