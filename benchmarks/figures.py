@@ -17,11 +17,12 @@ import garage_tables
 import garages
 import planner_tables
 import thesis_tables
+import window_tables
 from docs_tables import Row, RunSet, Table
 
 __all__ = ["SETS", "TABLES", "Row", "RunSet", "Table"]
 
-_GROUPS = (garage_tables, fault_tables, planner_tables, thesis_tables, deadlock_tables, garages)
+_GROUPS = (garage_tables, fault_tables, planner_tables, thesis_tables, deadlock_tables, window_tables, garages)
 
 #: In the order in which they are made.
 SETS: Mapping[str, RunSet] = {name: runs for group in _GROUPS for name, runs in group.SETS.items()}

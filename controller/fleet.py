@@ -38,6 +38,10 @@ class StuckBoost:
         """The boost after so many stuck ticks."""
         return self.most if stuck >= self.after else self.step * stuck
 
+    def raised(self, times: float) -> StuckBoost:
+        """So many times steeper, and at its most so many times sooner."""
+        return StuckBoost(round(times * self.step), max(1, round(self.after / times)), self.most)
+
 
 @dataclass(slots=True, eq=False)
 class Agv:

@@ -58,6 +58,8 @@ class ControlOptions:
         window: how the window adapts between these.
         boost: how far waiting raises an AGV's priority.
         ladder: limits of deadlock resolution.
+        adapt_boost, adapt_cbs: how many times the boost, and the group and effort of partial CBS in the ladder, at the
+            full level of traffic; in between in proportion. See ``window``.
     """
 
     period_steps: int
@@ -72,6 +74,8 @@ class ControlOptions:
     window: WindowRule = field(default_factory=WindowRule)
     boost: StuckBoost = field(default_factory=StuckBoost)
     ladder: LadderLimits = field(default_factory=LadderLimits)
+    adapt_boost: float = 1.0
+    adapt_cbs: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +139,7 @@ class Planning:
         self._progress = Progress(executor, agvs, costs, self.flags.complete)
         self._ladder = Ladder(options.ladder, executor, agvs, self._progress, log)
         self._window = Window(_moves(self.flags.window, options), options.window)
+        self._raise()
         self._last = -options.period_steps
         self._changed = True
         self._expected: frozenset[tuple[AgvNumber, Vertex]] = frozenset()
@@ -273,7 +278,7 @@ class Planning:
         ready = self._executor.ready_step(agv.number, step)
         dwell = self._rules.lift_bay
         goal = a.last if agv.heads_for in self._executor.closed else agv.heads_for
-        rank = priority(agv, stuck, self._options.boost)
+        rank = priority(agv, stuck, self._boost)
         avoids = self._rules.empty_avoid_slots and agv.mode is AgvMode.RETURNING_HOME_EMPTY
         return PlanAgent(agv.number, a.last, a.in_edge, ready, goal, a.leaves_loaded, dwell, rank, a.turned_to, avoids)
 
@@ -300,12 +305,19 @@ class Planning:
         return replace(problem, agents=tuple(self._agent(agv, step) for agv in free), carrying=())
 
     def _adapt(self, edges: int, rings: int) -> None:
-        """Let the window follow the conflicts that the planner met, or the traffic."""
+        """Let the window, and with it boost and CBS, follow the conflicts that the planner met, or the traffic."""
         if self.flags.meets_conflicts:
             self._window.take_conflicts(edges, rings)
-        elif not self.flags.complete:
+        else:
             under_way = sum(agv.goal != a.last for agv, a in zip(self._agvs, self._executor.agvs, strict=True))
             self._window.take_traffic(under_way, len(self._agvs), self._ladder.resolving)
+        self._raise()
+
+    def _raise(self) -> None:
+        """Let boost and partial CBS follow the level."""
+        o, level = self._options, self._window.level
+        self._boost = o.boost.raised(1 + level * (o.adapt_boost - 1))
+        self._ladder.limits = o.ladder.raised(1 + level * (o.adapt_cbs - 1))
 
 
 def _moves(own: WindowRange, options: ControlOptions) -> WindowRange:

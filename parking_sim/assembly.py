@@ -224,4 +224,6 @@ def control_options(config: ControlConfig, plant: PlantKind, cell_steps: int, st
         window=WindowRule(config.window_step, config.score_keep, config.score_scc, config.score_up, config.score_down),
         boost=StuckBoost(config.boost_step, config.boost_after, config.boost_max),
         ladder=ladder,
+        adapt_boost=config.adapt_boost,
+        adapt_cbs=config.adapt_cbs,
     )

@@ -107,6 +107,13 @@ class ControlConfig(_Options):
     )
     boost_after: int = Field(default=5, ge=1, description="moves' time of waiting from which on it gains boost_max")
     boost_max: int = Field(default=1000, ge=0, description="priority an AGV gains when it has waited for that long")
+    adapt_boost: float = Field(
+        default=1.0,
+        ge=1,
+        le=100,
+        description="times StuckBoost at the full level of traffic: boost_step so many times higher, boost_after so"
+        " many times shorter; 1 is always the same",
+    )
     stuck_s: float = Field(
         default=120.0, gt=0, le=DAY_S, description="seconds without progress after which an AGV is stuck"
     )
@@ -114,6 +121,13 @@ class ControlConfig(_Options):
     cbs_expansions: int = Field(default=64, ge=1, description="partial CBS: expansions of the constraint tree at most")
     cbs_nodes: int = Field(default=128, ge=1, description="partial CBS: nodes of the constraint tree at most")
     cbs_constraints: int = Field(default=64, ge=1, description="partial CBS: constraints of a node at most")
+    adapt_cbs: float = Field(
+        default=1.0,
+        ge=1,
+        le=100,
+        description="times cbs_group, cbs_expansions, cbs_nodes and cbs_constraints of the ladder at the full level of"
+        " traffic; 1 is always the same",
+    )
 
     @model_validator(mode="after")
     def _window_in_range(self) -> Self:

@@ -92,7 +92,9 @@ def nobody_moves(problem: PlanningProblem) -> PlanResult:
 class Yard:
     """AGVs with goals under the controller's planning in discrete ticks; ``AC`` is one at A that has to go to C."""
 
-    def __init__(self, graph: Graph, ways: str, limits: LadderLimits = LIMITS, planner: Any = nobody_moves) -> None:
+    def __init__(
+        self, graph: Graph, ways: str, limits: LadderLimits = LIMITS, planner: Any = nobody_moves, **options: Any
+    ) -> None:
         self.graph = graph
         self.ends = [(graph.index[way[0]], graph.index[way[-1]]) for way in ways.split()]
         starts = [start for start, _ in self.ends]
@@ -107,8 +109,8 @@ class Yard:
         self.events: list[tuple[int, str, int, dict[str, Any]]] = []
         self.resolved: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
         self.step = 0
-        options = ControlOptions(period_steps=1, ladder=limits)
-        self.planning = Planning(planner, options, self.agvs, self.executor, TICKS.rules(), self.costs, self.log)
+        control = ControlOptions(period_steps=1, ladder=limits, **options)
+        self.planning = Planning(planner, control, self.agvs, self.executor, TICKS.rules(), self.costs, self.log)
         self.plant = DiscretePlant(graph, motion, starts, 10**6)
 
     def log(self, kind: str, agv: int, car: str, vertex: int, detail: dict[str, Any]) -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from test_deadlock import CORRIDOR, DEEP_SIDING, LIMITS, NO_CBS, RING, SIDING, SQUARE, TICKS, Yard, drawn, nobody_moves
 
 from controller.conflicts import find_conflicts
+from controller.fleet import StuckBoost
 from controller.planners.lacam import LacamOptions, make_lacam
 from controller.planners.whca import make_whca
 from controller.types import FOREVER, Status
@@ -152,3 +153,33 @@ def test_lacam_brings_a_leader_to_its_goal_where_that_is_possible(problem, data)
         assert find_conflicts(result.paths.values(), motion) == []
     else:
         assert (result.status, result.paths) == (Status.INFEASIBLE, {})
+
+
+def test_partial_cbs_takes_larger_groups_the_more_traffic_there_is():
+    """A ring of four, groups of two, and a window that begins at its greatest, where the level is 1."""
+    stages = []
+    for times in (1.0, 2.0):
+        yard = Yard(RING, "AB BC CD DA", replace(LIMITS, group=2), window_cells=11, adapt_cbs=times)
+        assert yard.run(30)
+        stages.append(yard.stages)
+    assert stages == [["lacam"], ["partial_cbs"]]
+
+
+def test_priority_rises_sooner_while_a_deadlock_is_open():
+    """Of AGVs that can't move, the planner is told priorities: StuckBoost is that of a wait twice as long."""
+
+    def course(**options):
+        seen = []
+
+        def planner(problem):
+            seen.append([agent.priority for agent in problem.agents])
+            return nobody_moves(problem)
+
+        Yard(CORRIDOR, "AE EA", replace(LIMITS, group=1), planner, boost=StuckBoost(10, 50, 1000), **options).run(40)
+        return seen
+
+    same, raised = course(), course(adapt_boost=2.0)
+    waits = [tick[0] - same[0][0] for tick in same]
+    assert waits[20] == 200
+    assert raised[20][0] - same[0][0] == pytest.approx(400, abs=4)
+    assert raised[30][0] - same[0][0] == 1000, "half of 50 ticks is over"

@@ -72,6 +72,10 @@ class LadderLimits:
     widen: int = 12
     lacam: LacamOptions = field(default_factory=lambda: LacamOptions(proposals=2000, improve=0.5))
 
+    def raised(self, times: float) -> LadderLimits:
+        """So many times the group and the effort of partial CBS."""
+        return replace(self, group=round(times * self.group), cbs=self.cbs.raised(times))
+
 
 class Ladder:
     """Finds deadlocks in the wait-for graph and has them resolved.

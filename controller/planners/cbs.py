@@ -61,6 +61,14 @@ class CbsLimits:
     constraints: int | None = None
     ranges: bool = False
 
+    def raised(self, times: float) -> CbsLimits:
+        """So many times the effort."""
+
+        def more(limit: int | None) -> int | None:
+            return None if limit is None else round(times * limit)
+
+        return CbsLimits(more(self.expansions), more(self.nodes), more(self.constraints), self.ranges)
+
 
 #: Partial CBS on a deadlocked group (thesis 2025), with whole stays since our moves last many steps.
 PARTIAL = CbsLimits(expansions=64, nodes=128, constraints=64, ranges=True)
