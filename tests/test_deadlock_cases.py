@@ -162,7 +162,7 @@ def test_partial_cbs_takes_larger_groups_the_more_traffic_there_is():
         yard = Yard(RING, "AB BC CD DA", replace(LIMITS, group=2), window_cells=11, adapt_cbs=times)
         assert yard.run(30)
         stages.append(yard.stages)
-    assert stages == [["lacam"], ["partial_cbs"]]
+    assert stages == [["pull_over"], ["partial_cbs"]]
 
 
 def test_priority_rises_sooner_while_a_deadlock_is_open():
