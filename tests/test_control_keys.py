@@ -53,11 +53,13 @@ CASES = {
     "boost_step": Case(200, ASTAR),
     "boost_after": Case(1, ASTAR),
     "boost_max": Case(0, ASTAR),
+    "adapt_boost": Case(4.0, ASTAR),
     "stuck_s": Case(20.0, SUMO),
     "cbs_group": Case(2, ASTAR),
     "cbs_expansions": Case(1, ASTAR),
     "cbs_nodes": Case(1, ASTAR),
     "cbs_constraints": Case(1, ASTAR),
+    "adapt_cbs": Case(100.0, ASTAR, {"cbs_expansions": 1}),
 }
 
 
