@@ -15,7 +15,7 @@ from controller.conflicts import find_conflicts
 from controller.fleet import StuckBoost
 from controller.planners.lacam import LacamOptions, make_lacam
 from controller.planners.whca import make_whca
-from controller.types import FOREVER, Status
+from controller.types import FOREVER, Path, PlanResult, Status
 
 TWO_RINGS = drawn("""
 A>B
@@ -183,3 +183,19 @@ def test_priority_rises_sooner_while_a_deadlock_is_open():
     assert waits[20] == 200
     assert raised[20][0] - same[0][0] == pytest.approx(400, abs=4)
     assert raised[30][0] - same[0][0] == 1000, "half of 50 ticks is over"
+
+
+def test_driving_to_and_fro_does_not_dissolve_a_deadlock():
+    """The planner drives the AGV from B to A and back for ever, and no stage has an answer."""
+    a, b = CORRIDOR.index["A"], CORRIDOR.index["B"]
+
+    def to_and_fro(problem):
+        ways = {agent.agv: (agent.vertex, b if agent.vertex == a else a) for agent in problem.agents}
+        return PlanResult(Status.SOLVED, {n: Path(n, way, (0, 1), (0,)) for n, way in ways.items()})
+
+    yard = Yard(CORRIDOR, "BE", LIMITS, to_and_fro)
+    yard.planning._ladder._stages = lambda *_: (None, set())
+    yard.planning._ladder._together = lambda *_: (None, False)
+    assert not yard.run(60)
+    assert [d["cause"] for d in yard.of_kind("deadlock_found")] == ["stuck"]
+    assert yard.stages == []

@@ -22,6 +22,7 @@ class Deadlock:
         members: AGVs found in it.
         cause: "ring", "idle" or "stuck".
         since: step at which the waiting began.
+        reached: goals of the members, and how near to them they had come when it was found.
         stage: the stage whose plan is being carried out, "" while there is none.
         leader, goal, arrived: the AGV whose arrival is the progress, where it goes, and whether it is there.
         locked: AGVs that still carry the plan out.
@@ -42,6 +43,7 @@ class Deadlock:
     members: tuple[AgvNumber, ...]
     cause: str
     since: int
+    reached: tuple[tuple[Vertex, int], ...]
     stage: str = ""
     leader: AgvNumber = NO_AGV
     goal: Vertex = NO_VERTEX

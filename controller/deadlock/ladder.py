@@ -138,7 +138,7 @@ class Ladder:
         for deadlock in list(self._open):
             if deadlock.stage:
                 self._supervise(deadlock, step)
-            elif not waiting.intersection(deadlock.members):
+            elif not waiting.intersection(deadlock.members) and self._is_dissolved(deadlock):
                 deadlock.stage, deadlock.leader = "replanned", deadlock.members[0]
                 self._close(deadlock, step)
             elif step - deadlock.moved >= self._patience(deadlock) and not self.locked.intersection(deadlock.members):
@@ -150,6 +150,11 @@ class Ladder:
                 self._open.append(deadlock)
                 self._resolve(deadlock, step, problem())
                 taken.update(deadlock.members, deadlock.locked)
+
+    def _is_dissolved(self, deadlock: Deadlock) -> bool:
+        """A member has come on since it was found, or all are at their goals; driving to and fro is no way out."""
+        at_goals = all(self._agvs[n].goal == self._executor.agvs[n].last for n in deadlock.members)
+        return at_goals or self._progress.reached(deadlock.members) != deadlock.reached
 
     def _patience(self, deadlock: Deadlock) -> int:
         """Steps from a climb in vain to the next one."""
@@ -186,7 +191,7 @@ class Ladder:
         since = step - self.limits.stuck_steps
         if cause != "stuck":
             since = min((self._executor.agvs[n].since for n in members if n in waits.edges), default=step)
-        deadlock = Deadlock(kind, self._count[kind], members, cause, since)
+        deadlock = Deadlock(kind, self._count[kind], members, cause, since, self._progress.reached(members))
         self._count[kind] += 1
         wants = {n: self._executor.graph.names[waits.vertices[n]] for n in members if n in waits.vertices}
         waits_for = {n: waits.edges[n] for n in members if n in waits.edges}

@@ -228,6 +228,10 @@ class Progress:
         """Sum of the least costs to their goals that AGVs have come to since their goals were set."""
         return sum(self._best[n].cost for n in group)
 
+    def reached(self, group: Iterable[AgvNumber]) -> tuple[tuple[Vertex, int], ...]:
+        """For each AGV its goal, and the least cost to it that it has come to since."""
+        return tuple((self._best[n].goal, self._best[n].cost) for n in group)
+
     def now(self, group: Iterable[AgvNumber]) -> int:
         """Sum of the costs to their goals from where AGVs are now."""
         return sum(int(self._costs.to(self._agvs[n].goal)[self._executor.agvs[n].last]) for n in group)
