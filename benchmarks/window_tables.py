@@ -7,38 +7,73 @@ from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
-from docs_tables import Row, Rows, RunSet, Table, groups, markdown
+from docs_tables import Row, Rows, RunSet, Table, groups, markdown, mean, total
 
 #: Windows that are held, in moves; 0 is the window that adapts.
 WINDOWS = (5, 11, 21, 31, 0)
 CAUSES = ("ring", "idle", "stuck")
 
-CASES: tuple[Row, ...] = tuple(
-    {"garage": garage, "agvs": agvs, "planner": planner, "window": window}
-    for garage, agvs in (("map1", 4), ("map2", 4), ("map3", 8))
-    for planner, window in (("astar", 0), ("dstar_lite", 0), *(("whca", window) for window in WINDOWS))
+CASES: tuple[Row, ...] = (
+    *(
+        {"garage": garage, "agvs": 4, "planner": planner, "window": window}
+        for garage in ("map1", "map2")
+        for planner, window in (("astar", 0), ("dstar_lite", 0), *(("whca", window) for window in WINDOWS))
+    ),
+    *({"garage": "map3", "agvs": 8, "planner": planner, "window": 0} for planner in ("astar", "dstar_lite", "whca")),
+)
+
+#: Least and greatest window of ``whca``, and how far boost and partial CBS follow the traffic.
+RANGES = (
+    *((*moves, 1, 1) for moves in ((11, 21), (5, 11), (5, 31), (11, 31), (21, 31), (5, 5))),
+    (5, 5, 3, 1),
+    (5, 5, 1, 4),
+)
+SEEDED: tuple[Row, ...] = tuple(
+    {"least": least, "most": most, "boost": boost, "cbs": cbs, "seed": seed}
+    for least, most, boost, cbs in RANGES
+    for seed in range(5)
 )
 
 
 def run_window(case: Row) -> Row:
     """A row of the thesis under its rules, with the window held or not."""
-    from analysis.tables import load_run
-    from parking_sim.config import load_scenario
-    from parking_sim.simulation import simulate
-
     held = case["window"]
     keys: Row = {
         "agvs": case["agvs"],
         "planner": case["planner"],
-        "plant": "discrete",
         "rules": "thesis",
-        "dispatch": "nearest",
         "workload": {"kind": "park_exit", "park_only": case["garage"] != "map1", "order": "parked"},
         "control": {"window_cells": held, "window_min": held, "window_max": held} if held else {},
-        "record": {"replay": False},
     }
+    return _figures(case["garage"], keys)
+
+
+def run_range(case: Row) -> Row:
+    """MAP1 with 4 AGVs under fair rules, cars fetched by name in a random order."""
+    keys: Row = {
+        "agvs": 4,
+        "planner": "whca",
+        "rules": "fair",
+        "seed": case["seed"],
+        "workload": {"kind": "park_exit", "order": "random"},
+        "control": {
+            "window_min": case["least"],
+            "window_max": case["most"],
+            "adapt_boost": case["boost"],
+            "adapt_cbs": case["cbs"],
+        },
+    }
+    return _figures("map1", keys)
+
+
+def _figures(garage: str, keys: Row) -> Row:
+    from analysis.tables import load_run
+    from parking_sim.config import load_scenario
+    from parking_sim.simulation import simulate
+
+    keys = {**keys, "plant": "discrete", "dispatch": "nearest", "record": {"replay": False}}
     with tempfile.TemporaryDirectory() as folder:
-        summary = simulate(load_scenario(f"{case['garage']}_thesis", keys), Path(folder))
+        summary = simulate(load_scenario(f"{garage}_thesis", keys), Path(folder))
         run = load_run(Path(folder))
     found = Counter(run.details("deadlock_found").get("cause", ()))
     m = summary.metrics
@@ -49,6 +84,20 @@ def run_window(case: Row) -> Row:
         "expanded": m["nodes_expanded"],
         **{cause: found[cause] for cause in CAUSES},
     }
+
+
+def show_ranges(rows: Rows) -> list[str]:
+    """A row for each range: steps of each seed, then means."""
+    seeds = sorted({int(row["seed"]) for row in rows})
+    headings = ["window", "adapt_boost", "adapt_cbs", *(f"seed {seed}" for seed in seeds)]
+    headings += ["mean steps", "expanded", "deadlocks"]
+    lines = []
+    for (least, most, boost, cbs), own in groups(rows, "least", "most", "boost", "cbs").items():
+        steps = {int(row["seed"]): f"{int(row['steps']):,}" for row in own}
+        means = [f"{mean(own, key):,.0f}" for key in ("steps", "expanded")]
+        cells = [f"{least} to {most}", str(boost), str(cbs), *(steps.get(seed, "") for seed in seeds)]
+        lines.append([*cells, *means, str(total(own, *CAUSES))])
+    return markdown(headings, lines)
 
 
 def show_windows(rows: Rows) -> list[str]:
@@ -79,6 +128,12 @@ def _window(planner: str, window: int) -> str:
 
 SETS: Mapping[str, RunSet] = {
     "window": RunSet("whca with windows that are held, and with the one that adapts", CASES, run_window),
+    "window_seeds": RunSet(
+        "whca's range of windows, boost and CBS by traffic, on MAP1 x 4 over demand seeds", SEEDED, run_range
+    ),
 }
 
-TABLES: Mapping[str, Table] = {"window": Table("window", show_windows)}
+TABLES: Mapping[str, Table] = {
+    "window": Table("window", show_windows),
+    "window-seeds": Table("window_seeds", show_ranges),
+}

@@ -86,7 +86,7 @@ class ControlConfig(_Options):
         default=None,
         ge=1,
         le=10_000,
-        description="greatest window, moves; default: the planner's own (whca 31, others 11), or what fits the other"
+        description="greatest window, moves; default: the planner's own (whca 21, others 11), or what fits the other"
         " two",
     )
     window_step: int = Field(default=2, ge=1, le=10_000, description="the window changes in steps of so many moves")

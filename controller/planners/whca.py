@@ -58,7 +58,7 @@ class Whca:
         table: the reservations of the last call.
     """
 
-    window = WindowRange(start=11, least=11, most=31)
+    window = WindowRange(start=11, least=11, most=21)
     keeps = True
 
     def __init__(self, space: Space, options: WhcaOptions) -> None:
