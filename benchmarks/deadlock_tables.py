@@ -51,8 +51,8 @@ def run_rungs(case: Row) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         summary = simulate(load_scenario(case["garage"] if sumo else f"{case['garage']}_thesis", keys), Path(folder))
         run = load_run(Path(folder))
-    found = Counter(run.details("deadlock_found").get("cause", ()))
-    ended = Counter(run.details("deadlock_resolved").get("stage", ()))
+        found = Counter(run.details("deadlock_found").get("cause", ()))
+        ended = Counter(run.details("deadlock_resolved").get("stage", ()))
     m = summary.metrics
     return {
         "status": summary.status,

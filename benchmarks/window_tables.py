@@ -74,8 +74,7 @@ def _figures(garage: str, keys: Row) -> Row:
     keys = {**keys, "plant": "discrete", "dispatch": "nearest", "record": {"replay": False}}
     with tempfile.TemporaryDirectory() as folder:
         summary = simulate(load_scenario(f"{garage}_thesis", keys), Path(folder))
-        run = load_run(Path(folder))
-    found = Counter(run.details("deadlock_found").get("cause", ()))
+        found = Counter(load_run(Path(folder)).details("deadlock_found").get("cause", ()))
     m = summary.metrics
     return {
         "status": summary.status,
