@@ -250,8 +250,8 @@ def walls_of(executor: Executor, closed: Collection[Vertex], still: Collection[A
 
 def reachable(graph: Graph, start: Vertex, walls: Collection[Vertex]) -> set[Vertex]:
     """Vertices that can be reached from a vertex without entering a wall; turns and parked cars are no hindrance."""
-    found, new = {start}, [start]
+    found, new = {start}, {start}
     while new:
-        new = [u for v in new for u in graph.successors[v] if u not in walls and u not in found]
-        found.update(new)
+        new = {u for v in new for u in graph.successors[v] if u not in walls} - found
+        found |= new
     return found

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import networkx as nx
 import pytest
 from small_net import write_net
 
@@ -13,10 +14,12 @@ from analysis.explain import explain
 from analysis.faults import FaultSpan
 from analysis.holds import Held, ending, long_waits, reason
 from analysis.tables import load_run
+from controller.holds import reachable
 from parking_sim import simulation
 from parking_sim.config import check_scenario
 from parking_sim.fault_config import LONGEST_S
 from parking_sim.simulation import Summary, simulate
+from sumo_nets.graph import make_graph
 from sumo_nets.read import read_net
 
 #: Runs are given up after this in these tests, instead of two hours.
@@ -195,3 +198,15 @@ def test_a_wait_is_told_with_its_chain_and_its_fault():
     unknown = Held(1, -1, "", "not_moving", (), (), "y")
     assert reason(unknown, {5: stopped}, 60.0) == "AGV 1 may drive on from y and does not: stop of AGV 1 (fault 5)"
     assert reason(unknown, {5: stopped}, 600.0) == "AGV 1 may drive on from y and does not"
+
+
+def test_what_can_be_reached_on_an_open_floor_of_many_equal_ways():
+    n = 30
+    names = [(f"{x},{y}", 5.0 * x, 5.0 * y) for x in range(n) for y in range(n)]
+    steps = [((x, y), (x + dx, y + dy)) for x in range(n) for y in range(n) for dx, dy in ((0, 1), (1, 0))]
+    pairs = [(f"{a},{b}", f"{c},{d}") for (a, b), (c, d) in steps if c < n and d < n]
+    lanes = [(f"{u}>{v}", u, v, 5.0) for pair in pairs for u, v in (pair, pair[::-1])]
+    graph = make_graph("open floor", names, lanes)
+    walls = {v for v in graph.vertices if graph.names[v].endswith(",20") and graph.names[v] != "7,20"}
+    there = nx.descendants(graph.to_networkx().subgraph(set(graph.vertices) - walls), graph.vertices[0])
+    assert reachable(graph, graph.vertices[0], walls) == there | {graph.vertices[0]}
