@@ -38,6 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("one_number") / "run"
     scenario = {
         "garage": "map1", "agvs": 8, "planner": "whca", "seed": 3, "duration_s": 1500.0,
+        "control": {"window_cells": 5, "window_min": 5, "window_max": 5},  # so short that AGVs get into deadlocks
         "workload": {"kind": "profile", "name": "mall-saturday", "start_h": 14.0, "hours": 1.0, "scale": 1.5},
         "faults": {"script": [{"at_s": 1000.0, "kind": "breakdown", "agv": 2, "for_s": 300.0}]},
     }  # fmt: skip

@@ -191,7 +191,7 @@ def test_a_planner_that_fails_ends_a_run_with_one_line(tmp_path, capsys, functio
 
 FLAGS = """
 from controller.planners.token import make_token
-from controller.planners.whca import make_whca
+from controller.planners.whca import Whca, make_whca
 from controller.types import Path, PlanResult, Status
 from controller.window import WindowRange
 class Wrapped:
@@ -201,7 +201,7 @@ class Wrapped:
         self.made = self.made or self.make(problem.graph, problem.motion)
         return self.made(problem)
 whca, token, timid = Wrapped(make_whca), Wrapped(make_token), Wrapped(make_whca)
-whca.window, whca.keeps = WindowRange(11, 11, 31), True
+whca.window, whca.keeps = Whca.window, True
 token.complete = token.rests = token.improves = True
 timid.window, timid.meets_conflicts = WindowRange(4, 3, 6), True
 def stay(problem):

@@ -102,7 +102,7 @@ class Whca:
         """A path if nothing reserved is in its way, with a new end if it looks less than half a window ahead."""
         window, ahead, there = problem.window_steps, path.arrive[-1], path.vertices[-1] == agent.goal
         if there or 2 * ahead >= window:
-            path = replace(path, until=max(window, ahead + agent.dwell_steps * there))
+            path = replace(path, until=max(window, (ahead or agent.ready_step) + agent.dwell_steps * there))
             return path if self.table.admits(path) else None
         if not ahead or not self.table.admits(replace(path, until=ahead + 1)):
             return None
