@@ -16,6 +16,7 @@ from whole_runs import run
 from controller.flags import PlannerFlags, flags_of
 from controller.planners.contract import check_planner, random_problem, violations
 from controller.planners.table import ENTRY_POINTS, PLANNERS, load_planner
+from controller.planners.whca import Whca
 from controller.types import FOREVER, Path, PlanAgent, PlanningProblem, Status, make_motion
 from controller.window import WindowRange
 from parking_sim.cli import main
@@ -255,7 +256,7 @@ def test_every_flag_arrives_and_has_its_line_in_the_page(flagged):
     for flag in fields(PlannerFlags):
         assert f"`{flag.name}`" in page
     for name, flags in {
-        "whca": PlannerFlags(keeps=True, window=WindowRange(11, 11, 31)),
+        "whca": PlannerFlags(keeps=True, window=Whca.window),
         "token": PlannerFlags(complete=True, rests=True, improves=True),
         "timid": PlannerFlags(meets_conflicts=True, window=WindowRange(4, 3, 6)),
         "stay": PlannerFlags(),
