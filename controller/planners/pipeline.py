@@ -63,26 +63,19 @@ RIGHT_LEFT_DOWN_UP = (0, 180, 270, 90)
 
 
 @dataclass(frozen=True, slots=True)
-class PipelineOptions:
-    """Limits and weights. The defaults are those of the thesis's program.
+class PipelineOptions(CbsBounds):
+    """Limits and weights. The defaults are those of the thesis's program; those of partial CBS are inherited.
 
     Attributes:
-        sidestep: an AGV whose next cell is reserved goes to the best free neighbour; else it stays,
-            as in pseudo-code 3.
+        sidestep: an AGV whose next cell is reserved goes to the best free neighbour; else it stays, as in
+            pseudo-code 3.
         wait_edges: edges of the wait-for graph at most.
         group: AGVs of a deadlock that are planned together at most.
-        expansions, nodes, constraints, move_cost, wait_cost, residual_cost: see ``CbsBounds``.
     """
 
     sidestep: bool = True
     wait_edges: int = 64
     group: int = field(default=5, metadata={"least": 2})
-    expansions: int = 64
-    nodes: int = 128
-    constraints: int = 64
-    move_cost: float = 1.0
-    wait_cost: float = 0.5
-    residual_cost: float = 0.1
 
 
 class Pipeline:
@@ -103,11 +96,10 @@ class Pipeline:
     meets_conflicts = True
 
     def __init__(self, space: Space, options: PipelineOptions) -> None:
-        self.options = o = options
+        self.options = options
         self.floor = Floor(space)
         self.search = DStarLite(space)
-        bounds = CbsBounds(o.expansions, o.nodes, o.constraints, o.move_cost, o.wait_cost, o.residual_cost)
-        self.cbs = PartialCbs(self.floor, bounds, self.search.counters)
+        self.cbs = PartialCbs(self.floor, options, self.search.counters)
         self.aside = self.floor.ways(space, RIGHT_LEFT_DOWN_UP)
         self.stages: Counter[str] = Counter()
 
