@@ -80,8 +80,10 @@ class TickRules:
         )
 
 
-#: State of charge at which charging is due in the discrete plant.
-CHARGE_BELOW = 0.3
+#: State of charge at which charging is due in the discrete plant. The thesis names the cells between charges, not the
+#: size of the battery. With one for twice as many cells, an AGV that is not due yet has the charge for the longest task
+#: of the thesis's grids.
+CHARGE_BELOW = 0.5
 
 #: ``thesis``: what the thesis's program does (2025; see docs/thesis.md). A right-angled turn takes 1 tick under A* and
 #: D* Lite, but 2 under its pipeline; charging is set to 20 ticks, but the tick that sets it is the first of them. AGVs
