@@ -188,6 +188,8 @@ KINDS: Mapping[str, str] = {
     "obstruction_found": "an AGV that a fault cuts off from its goal stands in the way of others: obstruction "
     "(number), and the keys of deadlock_found but for deadlock",
     "obstruction_resolved": "the others have got on: obstruction, members, cause, stage, cost_s",
+    "homes_exchanged": "AGVs without a task take over each other's homes to end a deadlock: deadlock or obstruction "
+    "(number), homes (AGV -> name of its new home)",
     "stage_failed": "a stage of a deadlock's resolution made no progress: deadlock, stage, reason",
     "held": "an AGV has waited for control.stuck_s, or the cause of this wait has changed: cause (one of "
     "controller.holds.Cause), chain (AGV numbers: it waits for the first, that one for the next), faults (numbers at "

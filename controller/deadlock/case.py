@@ -61,11 +61,19 @@ class Deadlock:
 
 @dataclass(frozen=True, slots=True)
 class Resolution:
-    """A plan for a group, and the stage that found it."""
+    """A plan for a group, and the stage that found it.
+
+    Attributes:
+        stage: the stage.
+        leader: the AGV whose arrival is the progress.
+        paths: a path for each AGV of the group.
+        homes: the new homes of AGVs that exchange theirs.
+    """
 
     stage: str
     leader: AgvNumber
     paths: Mapping[AgvNumber, Path]
+    homes: Mapping[AgvNumber, Vertex] = field(default_factory=dict)
 
     @property
     def key(self) -> tuple[str, frozenset[AgvNumber]]:

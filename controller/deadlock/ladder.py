@@ -13,6 +13,8 @@ Stages, after the thesis (2025, III-4), each over the reservations of everybody 
    up to 256 times (but for an obstruction, where the fault ends by itself); then the time to the next climb doubles.
    Where the search has shown that moves which are no rings cannot help, the deadlock is left alone until an AGV, a goal
    or a closed place changes.
+6. *homes*: AGVs without a task exchange homes, and LaCAM* moves the group together. That is the way out where AGVs have
+   passed each other in a slot that was empty, and parked cars now keep them from passing each other back.
 
 A resolution counts only if it is progress that nothing can undo: its leader is an AGV that has not been at its goal
 since the goal was set, and it arrives there. An AGV that was pushed off its goal does not lead while there is another
@@ -30,12 +32,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice, permutations
+from operator import ne
 
 from controller.deadlock.case import Deadlock, Resolution, situation_of
 from controller.deadlock.cut_off import CutOff
 from controller.deadlock.waits import Progress, WaitGraph
 from controller.executor import Executor
-from controller.fleet import Agv
+from controller.fleet import FREE_MODES, Agv
 from controller.planners.cbs import Cbs, CbsLimits
 from controller.planners.lacam import Lacam, LacamOptions
 from controller.search.distances import Distances
@@ -50,6 +54,8 @@ from sumo_nets.numbering import NO_VERTEX, Numbered
 _MORE = 4
 #: So many of them; from then on the time to the next climb doubles instead.
 _RAISES = 4
+#: So many ways to exchange homes are tried, those in which the fewest AGVs get another home first.
+_EXCHANGES = 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +89,7 @@ class Ladder:
     Args:
         limits: see ``LadderLimits``.
         executor: takes the plans.
-        agvs: the fleet, read only.
+        agvs: the fleet, read only, but for AGVs that exchange homes.
         progress: since when each AGV has come no nearer to its goal.
         log: takes events.
 
@@ -292,6 +298,8 @@ class Ladder:
             if not joining:
                 self._failed(deadlock, "widen", "nobody else can join")
                 together, proven = self._together(deadlock, [agents[n] for n in group], whole)
+                if together is None and (proven or deadlock.failures >= _RAISES):
+                    together = self._exchange(deadlock, [agents[n] for n in group], whole)
                 if not (together and self._take(deadlock, together, outside, step)):
                     deadlock.hopeless = situation if proven else None
                     deadlock.in_vain.clear()
@@ -370,6 +378,21 @@ class Ladder:
         self._failed(deadlock, "lacam", "no solution" if proven else "timeout")
         return None, proven
 
+    def _exchange(self, deadlock: Deadlock, group: list[PlanAgent], problem: PlanningProblem) -> Resolution | None:
+        """AGVs without a task exchange homes, so that all of the group can get to their goals."""
+        free = [a for a in group if self._agvs[a.agv].mode in FREE_MODES and a.goal == self._agvs[a.agv].home]
+        homes = [a.goal for a in free]
+        ways = islice(permutations(homes), 1, _EXCHANGES)
+        for way in sorted(ways, key=lambda way: sum(map(ne, way, homes))):
+            new = {a.agv: home for a, home in zip(free, way, strict=True)}
+            agents = tuple(replace(a, goal=new.get(a.agv, a.goal)) for a in group)
+            result = self._lacam.resolve(replace(problem, agents=agents))
+            if result.status is Status.SOLVED:
+                return Resolution("homes", free[0].agv, result.paths, new)
+        if len(free) > 1:
+            self._failed(deadlock, "homes", "no way for any exchange")
+        return None
+
     def _leader(
         self, leader: PlanAgent, group: list[PlanAgent], problem: PlanningProblem, blockers: set[AgvNumber]
     ) -> dict[AgvNumber, Path] | None:
@@ -429,6 +452,13 @@ class Ladder:
         if refusal:
             self._failed(deadlock, resolution.stage, refusal.reason)
             return False
+        for n, home in resolution.homes.items():
+            self._agvs[n].home = self._agvs[n].goal = home
+        if resolution.homes:
+            names = {n: ex.graph.names[home] for n, home in resolution.homes.items()}
+            self._log(
+                "homes_exchanged", resolution.leader, "", NO_VERTEX, {deadlock.kind: deadlock.number, "homes": names}
+            )
         deadlock.stage, deadlock.leader = resolution.stage, resolution.leader
         deadlock.carried = resolution.key
         deadlock.best = self._progress.best(resolution.paths)

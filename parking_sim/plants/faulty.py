@@ -48,7 +48,6 @@ class _Body:
     """What the plant knows of one AGV.
 
     Attributes:
-        home: vertex where it starts and is repaired.
         way: granted vertices, the first one is the oldest that its body may touch.
         first: number of ``way[0]``.
         reached: number of the last vertex reached.
@@ -62,7 +61,6 @@ class _Body:
         age: steps by which its reported positions are old.
     """
 
-    home: Vertex
     way: deque[Vertex]
     first: int = 0
     reached: int = 0
@@ -108,7 +106,8 @@ class FaultyPlant:
         self._plant = plant
         self._config = config
         self.graph, self.motion = plant.graph, plant.motion
-        self._bodies: Numbered[AgvNumber, _Body] = [_Body(home, deque([home])) for home in homes]
+        self._homes = frozenset(homes)
+        self._bodies: Numbered[AgvNumber, _Body] = [_Body(deque([home])) for home in homes]
         self._faults: Iterator[Fault] = fault_stream(config, plant.graph, len(homes), seed)
         self._coming: Fault | None = next(self._faults, None)
         self._running: list[tuple[int, Fault, FaultReport]] = []
@@ -446,11 +445,11 @@ class FaultyPlant:
         self._towed[i] = self._begin_report("tow", (i,))
 
     def _tow(self) -> None:
-        """What has come home without a car is repaired there."""
+        """What has come home without a car is repaired there; AGVs may have exchanged homes."""
         for i, report in list(self._towed.items()):
             body = self._bodies[i]
             standing = self._seen[-1][i].standing and not body.inbox
-            if standing and not body.loaded and body.way[-1] == body.home:
+            if standing and not body.loaded and body.way[-1] in self._homes:
                 body.tow = 1.0
                 self._limit(i)
                 del self._towed[i]
