@@ -6,16 +6,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 import pandas as pd
-from docs_tables import Row, Rows, RunSet, Table, markdown, percent
+from docs_tables import Row, Rows, RunSet, Table, groups, markdown, percent
 
 from parking_sim.reproduce.findings import findings_table
 from parking_sim.reproduce.thesis_claims import best_planners, claims
+from parking_sim.reproduce.thesis_paper import program
 from parking_sim.reproduce.thesis_runs import (
     BEYOND,
     FAIR,
     METRICS,
     ROWS,
     Case,
+    home_cases,
     more_cases,
     run_case,
     seed_cases,
@@ -27,6 +29,7 @@ from parking_sim.reproduce.thesis_tables import heading, metric_table, program_t
 _TABLE = ("garage", "agvs", "planner", "rules", "park_only")
 _MORE = ("garage", "agvs", "planner")
 _SEEDED = (*_MORE, "seed")
+_HOMES = (*_MORE, "rules", "homes")
 
 
 def _cases(cases: Sequence[Case], keys: Sequence[str]) -> tuple[Row, ...]:
@@ -75,6 +78,21 @@ def _left(row: Row) -> str:
     return "" if row["completion"] == 1 else f", stops at {percent(row['completion'])}"
 
 
+def show_homes(rows: Rows) -> list[str]:
+    """Least, mean and most steps and moves over all ways to deal out the homes, beside the program's."""
+    lines = []
+    for (agvs, planner), own in sorted(groups(rows, "agvs", "planner").items()):
+        spreads = [
+            f"{min(values):,.0f} / {sum(values) / len(values):,.0f} / {max(values):,.0f}"
+            for values in ([row[metric] for row in own] for metric in ("steps", "movement_cost"))
+        ]
+        theirs = [f"{program(metric, planner, 'map1', agvs):,}" for metric in ("steps", "movement_cost")]
+        whole = sum(row["completion"] == 1 for row in own)
+        cells = [spreads[0], theirs[0], spreads[1], theirs[1]]
+        lines.append([f"MAP1 x {agvs}", heading(planner), f"{whole} of {len(own)}", *cells])
+    return markdown(["row", "planner", "complete", "steps", "program", "moves", "program"], lines)
+
+
 def _metric(metric: str) -> Table:
     return Table("thesis", lambda rows: metric_table(pd.DataFrame(rows), metric).splitlines())
 
@@ -92,6 +110,11 @@ SETS: Mapping[str, RunSet] = {
     ),
     "thesis_more": RunSet(
         "park and fetch on MAP2 and MAP3 with more AGVs, fair rules", _cases([*more_cases()], _MORE), run_thesis
+    ),
+    "thesis_homes": RunSet(
+        "MAP1 under the thesis's rules, its homes dealt out to the AGVs in every way",
+        _cases([*home_cases()], _HOMES),
+        run_thesis,
     ),
 }
 
@@ -111,4 +134,5 @@ TABLES: Mapping[str, Table] = {
     "thesis-slips": Table("thesis", lambda rows: slips_table().splitlines()),
     "thesis-seeds": Table("thesis_seeds", show_seeds),
     "thesis-more": Table("thesis_more", show_more),
+    "thesis-homes": Table("thesis_homes", show_homes),
 }

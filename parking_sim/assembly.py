@@ -29,7 +29,7 @@ from parking_sim.plants.faulty import BreakablePlant, FaultyPlant
 from parking_sim.rulesets import RULE_SETS, TickRules
 from sumo_nets.check import require_fit
 from sumo_nets.doors import one_door_each
-from sumo_nets.in_use import first_places
+from sumo_nets.in_use import chosen_homes, first_places
 from sumo_nets.numbering import Numbered, Vertex
 from sumo_nets.passing import crowded
 from sumo_nets.read import GarageNet, read_net
@@ -117,7 +117,7 @@ def assemble(scenario: Scenario) -> World:
         raise InputError(f"{key}: {wrong}")
     whole = read_net(scenario.garage_source)
     require_fit(whole, scenario.agv.size_m)
-    net = first_places(whole, scenario.bays, scenario.chargers)
+    net = chosen_homes(first_places(whole, scenario.bays, scenario.chargers), scenario.homes)
     homes = net.graph.homes
     if scenario.agvs > len(homes):
         raise InputError(f"agvs: {scenario.agvs}: {net.name} has homes for 1 to {len(homes)}")

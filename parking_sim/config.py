@@ -224,6 +224,11 @@ class Scenario(_Options):
     agvs: int = Field(ge=1, description="number of AGVs")
     bays: int | None = Field(default=None, ge=1, description="bays in use, the first ones; default: all")
     chargers: int | None = Field(default=None, ge=0, description="chargers in use, the first ones; default: all")
+    homes: list[str] | None = Field(
+        default=None,
+        min_length=1,
+        description="homes of the AGVs by name, the first AGV's first; default: the first ones",
+    )
     plant: PlantKind = Field(default="sumo", description="what moves the AGVs: SUMO, or ticks of one cell without SUMO")
     rules: str = Field(default="fair", min_length=1, description="rule set of the discrete plant")
     planner: str = Field(

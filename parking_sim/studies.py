@@ -220,9 +220,10 @@ def _scenario_to_size(
 def _most(scenario: Scenario, name: str, max_agvs: int | None, also: str) -> dict[str, int]:
     """What to size, in order, and the greatest number of each, with which the scenario fits its garage."""
     from parking_sim.assembly import assemble
+    from sumo_nets.in_use import chosen_homes
     from sumo_nets.read import read_net
 
-    net = read_net(scenario.garage_source)
+    net = chosen_homes(read_net(scenario.garage_source), scenario.homes)
     homes = len(net.graph.homes)
     if max_agvs is not None and max_agvs > homes:
         raise InputError(f"--max-agvs: {max_agvs}: {name} has homes for 1 to {homes}")

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from analysis.measures import interval
+from analysis.tables import load_run
 from analysis.turned_away import TurnedAway
 from demand.park_exit import ParkExit
 from parking_sim.assembly import assemble
@@ -24,10 +25,11 @@ from parking_sim.cli import main
 from parking_sim.config import load_scenario
 from parking_sim.errors import InputError
 from parking_sim.executors import open_executor
+from parking_sim.simulation import simulate
 from parking_sim.sizing import LAST_CONFIDENCE, Measure, Target, answer, find_least, parse_target, size_garage
 from parking_sim.tuning import parse_ranges, tune_scenario
 from sumo_nets.errors import NetError
-from sumo_nets.in_use import first_places
+from sumo_nets.in_use import chosen_homes, first_places
 from sumo_nets.read import net_files, read_net
 
 GARAGES: dict[str, tuple[Callable[[int], float], int]] = {
@@ -308,6 +310,8 @@ def test_places_that_are_not_there(tmp_path: Path) -> None:
         ("garage: map1, bays: 3", "bays: 3: map1 has 2"),
         ("garage: map1, chargers: 4", "chargers: 4: map1 has 3"),
         ("garage: map1_thesis, bays: 1", "bays: 1: map1_thesis has none: it hands cars over at the AGVs' homes"),
+        ("garage: map1_thesis, homes: [c0_9]", "homes: c0_9: map1_thesis has no such home; give one of c0_2, c0_3"),
+        ("garage: map1_thesis, homes: [c0_1, c0_1]", "homes: c0_1: is there 2 times"),
     ):
         (tmp_path / "s.yaml").write_text(f"{{{keys}, agvs: 1, plant: discrete}}")
         with pytest.raises(NetError, match=message):
@@ -318,6 +322,18 @@ def test_places_that_are_not_there(tmp_path: Path) -> None:
     assert list(fewer.bay_sites) == list(fewer.graph.bays)
     assert fewer.graph.slots == net.graph.slots
     assert first_places(net) is net
+    assert chosen_homes(net) is net
+
+
+def test_agvs_start_at_the_homes_that_are_named(tmp_path: Path) -> None:
+    keys = {"agvs": 2, "plant": "discrete", "homes": ["c0_1", "c0_4", "c0_2"], "duration_s": 1.0}
+    simulate(load_scenario("map1_thesis", keys), tmp_path / "run")
+    run = load_run(tmp_path / "run")
+    places = run.vertices.set_index("vertex").loc[["c0_1", "c0_4"], ["x_m", "y_m"]].to_numpy()
+    at_start = run.trajectory[run.trajectory.time_s == 0].sort_values("agv")[["x_m", "y_m"]].to_numpy()
+    assert (places == at_start).all()
+    with pytest.raises(InputError, match="agvs: 4: map1_thesis has homes for 1 to 3"):
+        assemble(load_scenario("map1_thesis", {**keys, "agvs": 4}))
 
 
 SATURDAY = "--target 'retrieval p95 < 5 min' --profile mall-saturday"

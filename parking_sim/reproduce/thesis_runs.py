@@ -6,6 +6,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,7 @@ class Case:
         park_only: the run ends with the last car parked.
         cars: cars to park; None for as many as there are slots.
         seed: seed of the order in which cars are fetched; None for the order in which they came.
+        homes: homes of the AGVs by name, with blanks between; empty for the first ones.
     """
 
     garage: str
@@ -78,6 +80,7 @@ class Case:
     park_only: bool = False
     cars: int | None = None
     seed: int | None = None
+    homes: str = ""
 
     def scenario(self) -> Scenario:
         """The run's scenario."""
@@ -91,6 +94,7 @@ class Case:
             "dispatch": "nearest",
             "workload": workload,
             "seed": self.seed or 0,
+            "homes": self.homes.split() or None,
             "record": {"sample_s": 2.0 if plant == "sumo" else 1.0},
         }
         keys |= {"max_time_s": SUMO_LIMIT_S} if plant == "sumo" else {"rules": self.rules}
@@ -105,6 +109,10 @@ ROWS: Sequence[Row] = (
     ("map3", 8, True, None),
 )
 QUICK_ROWS: Sequence[Row] = (*ROWS[:4], ("map2", 4, True, 40))
+
+
+#: Homes of MAP1. The thesis doesn't say which of them its fleets of two and three AGVs have.
+HOMES = ("c0_2", "c0_3", "c0_4", "c0_1")
 
 
 def table_cases(rows: Sequence[Row], rules: Sequence[str] = (THESIS, FAIR, SUMO)) -> Iterator[Case]:
@@ -135,6 +143,14 @@ def seed_cases() -> Iterator[Case]:
         for seed in range(SEEDS[garage]):
             for planner in BEYOND:
                 yield Case(garage, agvs, planner, FAIR, seed=seed)
+
+
+def home_cases() -> Iterator[Case]:
+    """MAP1 under the thesis's rules with its homes dealt out to the AGVs in every way."""
+    for agvs in (2, 3, 4):
+        for homes in permutations(HOMES, agvs):
+            for planner in ("dstar_lite", "pipeline"):
+                yield Case("map1", agvs, planner, THESIS, homes=" ".join(homes))
 
 
 def run_cases(cases: Sequence[Case], workers: int, file: Path) -> pd.DataFrame:
