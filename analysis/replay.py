@@ -18,7 +18,7 @@ import numpy as np
 from analysis.clock import Clock
 from analysis.deadlocks import deadlocks, outcome
 from analysis.faults import fault_spans
-from analysis.replay_cars import MODES, jobs_shown, plans_shown, read_track, stays_shown
+from analysis.replay_cars import MODES, plans_shown, read_track, stays_shown, tasks_shown
 from analysis.replay_data import Floats, Ints, Window, ms, pack
 from analysis.replay_floor import Floor, read_floor
 from analysis.report import environment, page_title, write_page
@@ -132,7 +132,7 @@ def _contents(run: Run, floor: Floor, window: Window, every: int) -> tuple[dict[
         "time": ms(track.time_s[keep]),
         **{name: values[keep].T.ravel() for name, values in track.columns.items()},
         **stays_shown(run, floor, track, number, window),
-        **jobs_shown(run, floor, number, window),
+        **tasks_shown(run, floor, number, window),
         **plans_shown(run.plans, window, every * _interval(track.time_s)),
         **_timeline(run.timeline, window, every),
     }

@@ -69,20 +69,20 @@ def plans_shown(plans: pd.DataFrame, window: Window, step_s: float) -> dict[str,
     }
 
 
-def jobs_shown(run: Run, floor: Floor, number: Mapping[str, int], window: Window) -> dict[str, Ints]:
+def tasks_shown(run: Run, floor: Floor, number: Mapping[str, int], window: Window) -> dict[str, Ints]:
     """What AGVs were told to do in the window, by AGV and time; and when each task of the run was done."""
     tasks = run.tasks
     seen = tasks[(tasks["agv"] >= 0) & (tasks["assigned_s"] <= window.end_s)]
     seen = seen[~(seen["done_s"] < window.start_s)].sort_values(["agv", "assigned_s"], kind="stable")
     return {
-        "job_agv": seen["agv"].to_numpy().astype(np.int64),
-        "job_parks": (seen["kind"] == "park").to_numpy().astype(np.int64),
-        "job_car": _numbers(seen["car"], number),
-        "job_from": _numbers(seen["origin"], floor.index),
-        "job_to": _numbers(seen["destination"], floor.index),
-        "job_assigned": ms(seen["assigned_s"]),
-        "job_lifted": ms(seen["lifted_s"]),
-        "job_delivered": ms(seen["delivered_s"]),
+        "task_agv": seen["agv"].to_numpy().astype(np.int64),
+        "task_parks": (seen["kind"] == "park").to_numpy().astype(np.int64),
+        "task_car": _numbers(seen["car"], number),
+        "task_from": _numbers(seen["origin"], floor.index),
+        "task_to": _numbers(seen["destination"], floor.index),
+        "task_assigned": ms(seen["assigned_s"]),
+        "task_lifted": ms(seen["lifted_s"]),
+        "task_delivered": ms(seen["delivered_s"]),
         "done": np.sort(ms(tasks.loc[tasks["state"] == "served", "done_s"])),
     }
 

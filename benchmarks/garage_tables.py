@@ -156,7 +156,7 @@ def run_saturation(case: Row) -> Row:
     """More cars than can be served, both ways."""
     from planners import run
 
-    return run((case["garage"], case["planner"], case["agvs"], case["seed"], case["minutes"], "nearest-job"))
+    return run((case["garage"], case["planner"], case["agvs"], case["seed"], case["minutes"], "nearest-task"))
 
 
 def show_saturation(rows: Rows) -> list[str]:

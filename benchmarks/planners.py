@@ -10,7 +10,7 @@ and are asked for after a short stay, so that there is always a car to park and 
 over the seeds as a table and, with ``--figure``, a figure. With ``--csv`` rows are added to a file as they come, and
 what is in there is not run again, so that a long table can be made in pieces. ``--workers`` is the number of processes.
 
-Shares are of what was assigned after the first sixth of the time: the first jobs of a garage that just opens are few
+Shares are of what was assigned after the first sixth of the time: the first tasks of a garage that just opens are few
 and far apart. ``bound_share`` is the least work that these tasks can take (``analysis.bound.least_work``, by the
 durations that plans are made with, which the plant undercuts by up to 5 %), from where the AGVs were, over the time of
 all AGVs until each did its last one.

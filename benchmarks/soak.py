@@ -127,7 +127,7 @@ def is_good(row: Mapping[str, Any]) -> bool:
     return done and not row["lost"] and not any(row[key] for key in MUST_BE_ZERO)
 
 
-def jobs(full: bool) -> Iterator[tuple[Case, int]]:
+def cases(full: bool) -> Iterator[tuple[Case, int]]:
     """Cases with their seeds; endless in the full form."""
     for seed in count() if full else range(1):
         for case in FULL if full else SMALL:
@@ -137,7 +137,7 @@ def jobs(full: bool) -> Iterator[tuple[Case, int]]:
 def plan_runs(full: bool, steps: float, planners: Sequence[str]) -> Iterator[tuple[Case, int, str, float]]:
     """Case, seed, planner and rate of faults of each run, until enough AGV-steps are planned with faults."""
     planned = 0.0
-    for case, seed in jobs(full):
+    for case, seed in cases(full):
         if full and planned >= steps:
             return
         planned += case[1] * case[3] * 120.0
@@ -153,7 +153,7 @@ def soak(runs: Iterator[tuple[Case, int, str, float]], workers: int, file: TextI
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:
         running: set[Future[dict[str, Any]]] = set()
         while True:
-            running |= {pool.submit(run, *job) for job in islice(runs, workers - len(running))}
+            running |= {pool.submit(run, *chosen) for chosen in islice(runs, workers - len(running))}
             if not running:
                 return rows
             over, running = wait(running, return_when=FIRST_COMPLETED)

@@ -18,7 +18,7 @@ from controller.dispatch import Offer, Rule
 from controller.executor import Executor
 from controller.faults import CLOSING, FaultReport, Outages
 from controller.fleet import FREE_MODES, Agv
-from controller.garage import Garage, Job
+from controller.garage import Garage, Task
 from controller.holds import Holds
 from controller.places import choose_slot
 from controller.planning import ControlOptions, Mask, Planning
@@ -40,7 +40,7 @@ class Setup:
         rules: lifts, charging, assignment.
         options: planning period, windows, deadlock limits.
         planner: answers planning problems.
-        dispatch: which AGV takes which job.
+        dispatch: which AGV takes which task.
         log: takes events.
     """
 
@@ -136,13 +136,13 @@ class Acs:
 
     def _begin(self, agv: Agv) -> bool:
         """Start what has to be done where the AGV stands; False while a customer, a bay or a place is awaited."""
-        job = agv.job
+        task = agv.task
         at_slot = agv.goal in self.garage.slot_of
-        if agv.mode is AgvMode.GOING_TO_COLLECT and job and job.ready_s <= self._now_s:
+        if agv.mode is AgvMode.GOING_TO_COLLECT and task and task.ready_s <= self._now_s:
             self._act(agv, Action.LIFT, self.rules.lift_slot if at_slot else self.rules.lift_bay)
-        elif agv.mode in (AgvMode.GOING_TO_PARK, AgvMode.RETURNING_WITH_CAR) and job and job.destination == agv.goal:
-            if self.garage.may_lower(job):
-                self.garage.lower_starts(job)
+        elif agv.mode in (AgvMode.GOING_TO_PARK, AgvMode.RETURNING_WITH_CAR) and task and task.destination == agv.goal:
+            if self.garage.may_lower(task):
+                self.garage.lower_starts(task)
                 self._act(agv, Action.LOWER, self.rules.lower_slot if at_slot else self.rules.lower_bay)
         elif agv.mode is AgvMode.GOING_TO_CHARGE:
             self.log("charge_start", agv.number, "", agv.goal, {"soc": round(agv.soc, 4)})
@@ -156,7 +156,7 @@ class Acs:
         agv.action = action
         if agv.goal in self._claims.next:
             self._plan_way_out(agv)
-        request = agv.job.number if agv.job else NO_REQUEST
+        request = agv.task.number if agv.task else NO_REQUEST
         self._commands.append(self.executor.act(agv.number, action, steps, self._step, request))
         if steps == 0:
             self._complete(agv)
@@ -170,20 +170,20 @@ class Acs:
             self._release(agv)
             self._set_mode(agv, AgvMode.RETURNING_HOME_MAINTENANCE)
             self._set_goal(agv, agv.home)
-        elif action is Action.LIFT and agv.job:
-            self._lifted(agv, agv.job)
-        elif action is Action.LOWER and agv.job:
-            self._lowered(agv, agv.job)
+        elif action is Action.LIFT and agv.task:
+            self._lifted(agv, agv.task)
+        elif action is Action.LOWER and agv.task:
+            self._lowered(agv, agv.task)
 
-    def _lifted(self, agv: Agv, job: Job) -> None:
-        self.garage.lifted(job, self._now_s)
+    def _lifted(self, agv: Agv, task: Task) -> None:
+        self.garage.lifted(task, self._now_s)
         self.executor.agvs[agv.number].loaded = True
-        self.log("lift", agv.number, job.car, agv.goal, {"request": job.number})
+        self.log("lift", agv.number, task.car, agv.goal, {"request": task.number})
         self._release(agv)
-        if job.is_park:
+        if task.is_park:
             self._set_mode(agv, AgvMode.GOING_TO_PARK)
-            self._set_goal(agv, job.destination)
-            if job.destination in self.outages.closed:
+            self._set_goal(agv, task.destination)
+            if task.destination in self.outages.closed:
                 self._change_goal(agv)
         else:
             self._set_mode(agv, AgvMode.RETURNING_WITH_CAR)
@@ -195,9 +195,9 @@ class Acs:
         """
         self._claims.move_up()
         waiting = {
-            agv.number: agv.job
+            agv.number: agv.task
             for agv in self.agvs
-            if agv.mode is AgvMode.RETURNING_WITH_CAR and agv.job and agv.job.destination < 0 and not agv.immobile
+            if agv.mode is AgvMode.RETURNING_WITH_CAR and agv.task and agv.task.destination < 0 and not agv.immobile
         }
         if not waiting:
             return
@@ -206,33 +206,33 @@ class Acs:
             chosen = {n: self.agvs[n].home for n in waiting}
         else:
             chosen = self._claims.promise_bays(waiting, self._step, self.outages.closed, self.planning.flags.rests)
-        for n, job in waiting.items():
+        for n, task in waiting.items():
             agv = self.agvs[n]
             if n in chosen:
-                job.destination = chosen[n]
+                task.destination = chosen[n]
                 self._set_goal(agv, chosen[n])
                 if self._claims.next.get(chosen[n]) == n:
                     self._plan_way_out(self.agvs[self._claims.holder[chosen[n]]])
-            elif at[n] != job.origin or self._claims.nearer_to_bays(agv.home, at[n]):
+            elif at[n] != task.origin or self._claims.nearer_to_bays(agv.home, at[n]):
                 self._set_goal(agv, agv.home)
-            if agv.goal != job.origin and at[n] == job.origin:
-                self.garage.vacate(job.origin)
+            if agv.goal != task.origin and at[n] == task.origin:
+                self.garage.vacate(task.origin)
 
     def _plan_way_out(self, agv: Agv) -> None:
         """Let an AGV have a plan to where it goes after its work at a bay, so that others can plan to come after it."""
-        agv.then = agv.job.destination if agv.job and agv.action is Action.LIFT else agv.home
+        agv.then = agv.task.destination if agv.task and agv.action is Action.LIFT else agv.home
         self.planning.goal_changed()
 
-    def _lowered(self, agv: Agv, job: Job) -> None:
-        self._commands += self.garage.lowered(job, self._now_s)
+    def _lowered(self, agv: Agv, task: Task) -> None:
+        self._commands += self.garage.lowered(task, self._now_s)
         self.executor.agvs[agv.number].loaded = False
-        self.log("lower", agv.number, job.car, agv.goal, {"request": job.number})
-        if job.state == "served":
-            self.log("task_done", agv.number, job.car, agv.goal, {"request": job.number})
+        self.log("lower", agv.number, task.car, agv.goal, {"request": task.number})
+        if task.state == "served":
+            self.log("task_done", agv.number, task.car, agv.goal, {"request": task.number})
         self._release(agv)
         self._charging.task_done(agv)
-        agv.tasks += 1
-        agv.job = None
+        agv.tasks_done += 1
+        agv.task = None
         if agv.goal == agv.home:
             self._set_mode(agv, AgvMode.IDLE)
         else:
@@ -281,29 +281,29 @@ class Acs:
         return offers
 
     def _take(self, offer: Offer) -> bool:
-        """Give the job to the AGV unless there is no slot for the car; False if the AGV lacks the charge for it."""
-        job, agv = offer.job, self.agvs[offer.agv]
+        """Give the task to the AGV unless there is no slot for the car; False if the AGV lacks the charge for it."""
+        task, agv = offer.task, self.agvs[offer.agv]
         origin = agv.home if offer.origin < 0 else offer.origin
         slot = NO_VERTEX
-        if job.is_park:
+        if task.is_park:
             before = self.costs.expanded
-            slot = choose_slot(self.garage, origin, job.request.zone, self.costs, self.rules.around_cars)
+            slot = choose_slot(self.garage, origin, task.request.zone, self.costs, self.rules.around_cars)
             self.planning.slot_choice += self.costs.expanded - before
             if slot < 0:
                 return True
         if not self._charging.takes(agv, origin, slot):
             return False
-        self._assign(job, agv, origin, slot)
+        self._assign(task, agv, origin, slot)
         return True
 
-    def _assign(self, job: Job, agv: Agv, origin: Vertex, slot: Vertex) -> None:
-        self.garage.assign(job, agv.number, self._now_s, origin, slot)
-        agv.job = job
+    def _assign(self, task: Task, agv: Agv, origin: Vertex, slot: Vertex) -> None:
+        self.garage.assign(task, agv.number, self._now_s, origin, slot)
+        agv.task = task
         if origin in self.garage.bays and self.garage.handover == "bay":
             self._claims.holder[origin] = agv.number
         names = self.graph.names
-        detail = {"request": job.number, "origin": names[origin], "destination": names[slot] if slot >= 0 else ""}
-        self.log("task_assigned", agv.number, job.car, origin, detail)
+        detail = {"request": task.number, "origin": names[origin], "destination": names[slot] if slot >= 0 else ""}
+        self.log("task_assigned", agv.number, task.car, origin, detail)
         self._set_mode(agv, AgvMode.GOING_TO_COLLECT)
         self._set_goal(agv, origin)
         a = self.executor.agvs[agv.number]
@@ -359,12 +359,12 @@ class Acs:
 
     def _give_back(self, agv: Agv) -> None:
         """Let others have the task of an AGV that has no car on it yet, and send it home."""
-        job = agv.job
-        if agv.mode is AgvMode.GOING_TO_COLLECT and job and agv.action is None:
+        task = agv.task
+        if agv.mode is AgvMode.GOING_TO_COLLECT and task and agv.action is None:
             self._release(agv)
-            self.garage.unassign(job)
-            agv.job = None
-            self.log("task_returned", agv.number, job.car, NO_VERTEX, {"request": job.number})
+            self.garage.unassign(task)
+            agv.task = None
+            self.log("task_returned", agv.number, task.car, NO_VERTEX, {"request": task.number})
         elif agv.mode is AgvMode.GOING_TO_CHARGE:
             self._release(agv)
             self._charging.has_to_wait(agv)
@@ -375,15 +375,15 @@ class Acs:
 
     def _change_goal(self, agv: Agv) -> None:
         """The goal is closed: take another one where there is one, else wait."""
-        job = agv.job
-        if agv.mode is AgvMode.GOING_TO_PARK and job:
-            slot = choose_slot(self.garage, self.executor.agvs[agv.number].last, job.request.zone, self.costs)
+        task = agv.task
+        if agv.mode is AgvMode.GOING_TO_PARK and task:
+            slot = choose_slot(self.garage, self.executor.agvs[agv.number].last, task.request.zone, self.costs)
             if slot >= 0:
-                self.garage.move_reservation(job, slot)
+                self.garage.move_reservation(task, slot)
                 self._set_goal(agv, slot)
-        elif agv.mode is AgvMode.RETURNING_WITH_CAR and job and agv.goal in self.garage.bays:
+        elif agv.mode is AgvMode.RETURNING_WITH_CAR and task and agv.goal in self.garage.bays:
             self._release(agv)
-            job.destination = NO_VERTEX
+            task.destination = NO_VERTEX
             self._set_goal(agv, self.executor.agvs[agv.number].last)  # until ``_choose_bays`` finds another one
             self._attend.add(agv.number)
         else:

@@ -96,7 +96,7 @@ class Charging:
 
     def charged(self, agv: Agv) -> None:
         """An AGV has charged."""
-        self._tasks_then[agv.number] = agv.tasks
+        self._tasks_then[agv.number] = agv.tasks_done
 
     def has_to_wait(self, agv: Agv) -> None:
         """An AGV does not get the charger that it was promised."""
@@ -211,7 +211,7 @@ class Charging:
         steps, onward = self._task_steps(agv, origin, destination)
         known = self._steps > 0
         need = MARGIN * self._spent / self._steps * (steps + onward) if known else self.rules.charge_below
-        fresh = self._tasks_then.get(agv.number, 0) == agv.tasks and agv.soc > self.rules.charge_below
+        fresh = self._tasks_then.get(agv.number, 0) == agv.tasks_done and agv.soc > self.rules.charge_below
         if agv.soc < need and not fresh and self._can_charge(agv):
             agv.due_at = max(agv.due_at, need)
             self._short.add(agv.number)

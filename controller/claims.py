@@ -15,7 +15,7 @@ import numpy as np
 from controller.costs import Costs
 from controller.executor import Executor
 from controller.fleet import Agv
-from controller.garage import Garage, Job
+from controller.garage import Garage, Task
 from controller.places import choose_bays
 from controller.types import Action, AgvNumber
 from sumo_nets.graph import IntArray
@@ -63,12 +63,12 @@ class Claims:
             self.holder[bay] = self.next.pop(bay)
 
     def promise_bays(
-        self, waiting: Mapping[AgvNumber, Job], step: int, closed: frozenset[Vertex], behind_others: bool
+        self, waiting: Mapping[AgvNumber, Task], step: int, closed: frozenset[Vertex], behind_others: bool
     ) -> dict[AgvNumber, Vertex]:
         """Promise bays to AGVs that carry a car to one.
 
         Args:
-            waiting: their jobs, by AGV number.
+            waiting: their tasks, by AGV number.
             step: now.
             closed: vertices that are out of order.
             behind_others: bays may be promised that are about to be left.
@@ -77,7 +77,7 @@ class Claims:
             The bay of each AGV that gets one.
         """
         at = {n: self.executor.agvs[n].last for n in waiting}
-        since_s = {n: job.lifted_s for n, job in waiting.items()}
+        since_s = {n: task.lifted_s for n, task in waiting.items()}
         # an occupied outbound place frees when its customer has got in: count it as half a lift
         free = {
             bay: self.lift_steps // 2 if places.outbound else 0
@@ -119,5 +119,5 @@ class Claims:
             only.setdefault(bay, here if stands and car and self._is_ready(car, step) else comes)
         return only
 
-    def _is_ready(self, car: Job, step: int) -> bool:
+    def _is_ready(self, car: Task, step: int) -> bool:
         return car.ready_s <= self.executor.motion.seconds(step)

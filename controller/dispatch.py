@@ -1,4 +1,4 @@
-"""Dispatch: which AGV takes which job. Rules stand in the table ``DISPATCH``. Slots and bays: ``places``."""
+"""Dispatch: which AGV takes which task. Rules stand in the table ``DISPATCH``. Slots and bays: ``places``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from heapq import nsmallest
 import numpy as np
 
 from controller.costs import Costs
-from controller.garage import Job
+from controller.garage import Task
 from controller.types import NO_AGV, AgvNumber
 from sumo_nets.graph import FloatArray
 from sumo_nets.numbering import Vertex
@@ -17,81 +17,82 @@ from sumo_nets.numbering import Vertex
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """An open job for an AGV, with where to fetch the car.
+    """An open task for an AGV, with where to fetch the car.
 
     Attributes:
-        job: the job.
+        task: the task.
         agv: number of the AGV.
         origin: vertex where the car is fetched.
     """
 
-    job: Job
+    task: Task
     agv: AgvNumber
     origin: Vertex
 
 
-#: How many jobs ``nearest_job`` looks at, and the seconds of driving that a second of waiting outweighs.
+#: How many tasks ``nearest_task`` looks at, and the seconds of driving that a second of waiting outweighs.
 OLDEST = 400
 AGE_WEIGHT = 0.2
 
-#: A rule gets the open jobs in the order in which they were opened (cars to be fetched when they are asked for, cars to
-#: be parked when they stand at a bay), the vertices of the available AGVs, the origins that are taken by an AGV, and
-#: the costs. It returns offers; each AGV, each job and each origin at most once.
-Rule = Callable[[Sequence[Job], Mapping[AgvNumber, Vertex], Mapping[Vertex, AgvNumber], Costs], list[Offer]]
+#: A rule gets the open tasks in the order in which they were opened, the vertices of the available AGVs, the origins
+#: that are taken by an AGV, and the costs. The task of a parked car is opened when the car is asked for; the task of a
+#: car to be parked is opened when the car stands at a bay. The rule returns offers; each AGV, each task and each origin
+#: occurs at most once.
+Rule = Callable[[Sequence[Task], Mapping[AgvNumber, Vertex], Mapping[Vertex, AgvNumber], Costs], list[Offer]]
 
 
 def nearest_agv(
-    jobs: Sequence[Job], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
+    tasks: Sequence[Task], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
 ) -> list[Offer]:
-    """Jobs in the order in which they were opened; each gets the available AGV that is nearest to the car."""
+    """Tasks in the order in which they were opened; each gets the available AGV that is nearest to the car."""
     free = dict(at)
     busy = dict(taken)
     offers = []
-    for job in jobs:
+    for task in tasks:
         if not free:
             break
-        holder = busy.get(job.origin, NO_AGV)
+        holder = busy.get(task.origin, NO_AGV)
         if holder >= 0 and holder not in free:
             continue
         if holder >= 0:
             agv = holder
-        elif job.origin < 0:  # cars stand ready at every home
+        elif task.origin < 0:  # cars stand ready at every home
             agv = min(free)
         else:
-            to = costs.to(job.origin)
+            to = costs.to(task.origin)
             agv = min(free, key=lambda a: (int(to[free[a]]), a))
-        offers.append(Offer(job, agv, job.origin))
-        if job.origin >= 0:
-            busy[job.origin] = agv
+        offers.append(Offer(task, agv, task.origin))
+        if task.origin >= 0:
+            busy[task.origin] = agv
         del free[agv]
     return offers
 
 
-def nearest_job(
-    jobs: Sequence[Job], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
+def nearest_task(
+    tasks: Sequence[Task], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
 ) -> list[Offer]:
-    """Of the oldest jobs and the available AGVs the pair with the shortest way, then the next one.
+    """Of the oldest tasks and the available AGVs the pair with the shortest way, then the next one.
 
     An AGV that has brought a car to a bay takes the one that waits there, and of many cars that are asked for those on
     its way go first; both save empty ways. Each second that a request is older counts as ``AGE_WEIGHT`` seconds of
     driving, so that nobody is passed over for ever.
     """
-    oldest = oldest_first(jobs)
+    oldest = oldest_first(tasks)
     agvs = np.array(sorted(at))
     here = np.array([at[agv] for agv in sorted(at)])
-    younger_s = np.array([job.requested_s for job in oldest]) - oldest[0].requested_s
+    younger_s = np.array([task.requested_s for task in oldest]) - oldest[0].requested_s
     cost = np.repeat(AGE_WEIGHT * younger_s[:, None] / costs.step_s, len(agvs), axis=1)
-    for row, job in zip(cost, oldest, strict=True):
-        if job.origin >= 0:  # else a car stands ready at every home
-            row += costs.turning_to(job.origin)[here]
-        if taken.get(job.origin, NO_AGV) >= 0:
-            row[agvs != taken[job.origin]] = np.inf
+    for row, task in zip(cost, oldest, strict=True):
+        if task.origin >= 0:  # else a car stands ready at every home
+            row += costs.turning_to(task.origin)[here]
+        if taken.get(task.origin, NO_AGV) >= 0:
+            row[agvs != taken[task.origin]] = np.inf
     return [Offer(oldest[j], AgvNumber(int(agvs[a])), oldest[j].origin) for j, a in pairs(cost)]
 
 
-def oldest_first(jobs: Sequence[Job]) -> list[Job]:
-    """The ``OLDEST`` jobs that were asked for first, in that order."""
-    return nsmallest(OLDEST, jobs, key=lambda job: (job.requested_s, job.number))
+def oldest_first(tasks: Sequence[Task]) -> list[Task]:
+    """The ``OLDEST`` tasks that were asked for first, in that order."""
+    return nsmallest(OLDEST, tasks, key=lambda task: (task.requested_s, task.number))
 
 
 def pairs(cost: FloatArray) -> Iterator[tuple[int, int]]:
@@ -105,44 +106,44 @@ def pairs(cost: FloatArray) -> Iterator[tuple[int, int]]:
 
 
 def in_id_order(
-    jobs: Sequence[Job], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
+    tasks: Sequence[Task], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
 ) -> list[Offer]:
-    """AGVs in order of their numbers; each takes the first job whose place is not taken (thesis 2025)."""
+    """AGVs in order of their numbers; each takes the first task whose place is not taken (thesis 2025)."""
     busy = dict(taken)
-    left = list(jobs)
+    left = list(tasks)
     offers = []
     for agv in sorted(at):
-        job = next((j for j in left if busy.get(j.origin, agv) == agv), None)
-        if job is None:
+        task = next((j for j in left if busy.get(j.origin, agv) == agv), None)
+        if task is None:
             continue
-        left.remove(job)
-        if job.origin >= 0:
-            busy[job.origin] = agv
-        offers.append(Offer(job, agv, job.origin))
+        left.remove(task)
+        if task.origin >= 0:
+            busy[task.origin] = agv
+        offers.append(Offer(task, agv, task.origin))
     return offers
 
 
 def first_come(
-    jobs: Sequence[Job], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
+    tasks: Sequence[Task], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
 ) -> list[Offer]:
     """AGVs in order of their numbers; a car is parked in its turn, but of those to be fetched the nearest goes first.
 
     So the thesis (2025) fetches cars: whichever parked car is nearest to the AGV as the cars stand now.
     """
-    left = [job for job in jobs if job.is_park == jobs[0].is_park]
+    left = [task for task in tasks if task.is_park == tasks[0].is_park]
     if left[0].is_park:
         return in_id_order(left, at, taken, costs)
     offers = []
     for agv in sorted(at)[: len(left)]:
         steps = costs.around(at[agv])
-        job = min(left, key=lambda j: (int(steps[j.origin]), j.origin))
-        left.remove(job)
-        offers.append(Offer(job, agv, job.origin))
+        task = min(left, key=lambda j: (int(steps[j.origin]), j.origin))
+        left.remove(task)
+        offers.append(Offer(task, agv, task.origin))
     return offers
 
 
 DISPATCH: dict[str, Rule] = {
-    "nearest-job": nearest_job,
+    "nearest-task": nearest_task,
     "nearest": nearest_agv,
     "id-order": in_id_order,
     "first-come": first_come,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from controller.garage import Job
+from controller.garage import Task
 from controller.types import Action, AgvMode, AgvNumber
 from sumo_nets.numbering import NO_VERTEX, Vertex
 
@@ -52,12 +52,12 @@ class Agv:
         home: vertex where it rests.
         goal: vertex it has to reach now.
         mode: one of the eight states.
-        job: what it works on.
+        task: what it works on.
         action: action under way at the goal.
         then: where it goes when that action has ended, -1 while its way there is not to be planned yet.
         soc: state of charge, 0 to 1.
         due_at: state of charge at or below which it has to charge; -1 while it need not, or has a charger.
-        tasks: tasks done.
+        tasks_done: how many tasks it has completed.
         immobile: it has reported a fault and cannot move.
         off_duty: it gets no task until its fault is repaired.
     """
@@ -66,12 +66,12 @@ class Agv:
     home: Vertex
     goal: Vertex
     mode: AgvMode = AgvMode.IDLE
-    job: Job | None = None
+    task: Task | None = None
     action: Action | None = None
     then: Vertex = NO_VERTEX
     soc: float = 1.0
     due_at: float = -1.0
-    tasks: int = 0
+    tasks_done: int = 0
     immobile: bool = False
     off_duty: bool = False
 

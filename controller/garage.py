@@ -1,7 +1,7 @@
 """The garage's books: where every car is, what every customer wants, which slots, bays and places are taken.
 
-It knows vertices but nothing of AGVs' ways. Times are seconds. A request becomes a ``Job``; its life is told by the
-stamps of the job, and ``Garage.audit`` checks that nothing and nobody got lost.
+It knows vertices but nothing of AGVs' ways. Times are seconds. A request is the customer's wish, and a ``Task`` is
+what the ACS makes of it. The time stamps of a task tell its life; ``Garage.audit`` checks that nothing got lost.
 
 A customer who comes with a car is turned away when every slot is taken or promised: by cars in slots, and by cars that
 have come and are not in their slots yet. A car on its way out needs no slot as soon as it is lifted. A customer also
@@ -34,7 +34,7 @@ from controller.types import (
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import NO_VERTEX, NumberedList, Vertex
 
-JobState = Literal["waiting", "served", "turned_away", "void"]
+TaskState = Literal["waiting", "served", "turned_away", "void"]
 
 #: Cars by which the pace of the queue is known: the last ones that had to wait.
 _RECENT = 8
@@ -57,7 +57,7 @@ class Customers:
 
 
 @dataclass(slots=True, eq=False)
-class Job:
+class Task:
     """One request and what became of it.
 
     Attributes:
@@ -74,7 +74,7 @@ class Job:
     number: RequestNumber
     request: Request
     handling_s: float
-    state: JobState = "waiting"
+    state: TaskState = "waiting"
     reason: str = ""
     agv: AgvNumber = NO_AGV
     origin: Vertex = NO_VERTEX
@@ -102,8 +102,8 @@ class Job:
 class BayPlaces:
     """The two places of a bay on the customers' side: None is free."""
 
-    inbound: Job | None = None
-    outbound: Job | None = None
+    inbound: Task | None = None
+    outbound: Task | None = None
 
 
 class StreetQueue:
@@ -114,33 +114,33 @@ class StreetQueue:
     """
 
     def __init__(self) -> None:
-        self._jobs: deque[Job] = deque()
+        self._tasks: deque[Task] = deque()
         self._head_since_s = 0.0
         self._stood_s: deque[float] = deque(maxlen=_RECENT)
 
     def __len__(self) -> int:
-        return len(self._jobs)
+        return len(self._tasks)
 
-    def join(self, job: Job, now_s: float) -> None:
+    def join(self, task: Task, now_s: float) -> None:
         """A customer stands behind the others."""
-        if not self._jobs:
+        if not self._tasks:
             self._head_since_s = now_s
-        self._jobs.append(job)
+        self._tasks.append(task)
 
-    def call(self, now_s: float) -> Job:
+    def call(self, now_s: float) -> Task:
         """The first customer leaves the queue for a bay."""
         stood_s = now_s - self._head_since_s
         if stood_s > 0:
             self._stood_s.append(stood_s)
         self._head_since_s = now_s
-        return self._jobs.popleft()
+        return self._tasks.popleft()
 
     def expected_s(self, now_s: float) -> float:
         """How long a customer who comes now has to expect to wait, seconds."""
-        if not self._jobs:
+        if not self._tasks:
             return 0.0
         mean_s = sum(self._stood_s) / len(self._stood_s) if self._stood_s else 0.0
-        return len(self._jobs) * max(mean_s, now_s - self._head_since_s)
+        return len(self._tasks) * max(mean_s, now_s - self._head_since_s)
 
 
 class Garage:
@@ -165,8 +165,8 @@ class Garage:
         self._handling = handling
         self._customers = customers
         self._handling_mu = float(np.log(customers.handling_median_s)) if customers.handling_median_s > 0 else None
-        self.jobs: NumberedList[RequestNumber, Job] = []
-        self.open: list[Job] = []
+        self.tasks: NumberedList[RequestNumber, Task] = []
+        self.open: list[Task] = []
         self.queue = StreetQueue()
         self.bays = {bay: BayPlaces() for bay in graph.bays}
         self.parked: dict[str, Vertex] = {}
@@ -185,8 +185,8 @@ class Garage:
         self._turned_away: set[str] = set()
         self._inside: set[str] = set()
         self._asked_for: set[str] = set()
-        self._early: dict[str, Job] = {}
-        self._boarding: list[Job] = []
+        self._early: dict[str, Task] = {}
+        self._boarding: list[Task] = []
 
     # --- requests -------------------------------------------------------------------------------------------------
 
@@ -203,35 +203,35 @@ class Garage:
         self.initial = len(cars)
         self._inside = set(cars)
 
-    def request(self, request: Request, now_s: float) -> Job:
+    def request(self, request: Request, now_s: float) -> Task:
         """Enter a request in the books; its customer may be turned away at once, or it may be void."""
-        job = Job(RequestNumber(len(self.jobs)), request, self._draw_handling(), requested_s=now_s)
-        self.jobs.append(job)
+        task = Task(RequestNumber(len(self.tasks)), request, self._draw_handling(), requested_s=now_s)
+        self.tasks.append(task)
         self.unfinished += 1
-        if job.is_park:
-            self._request_park(job, now_s)
+        if task.is_park:
+            self._request_park(task, now_s)
         else:
-            self._request_retrieve(job, now_s)
-        return job
+            self._request_retrieve(task, now_s)
+        return task
 
-    def _request_park(self, job: Job, now_s: float) -> None:
-        if job.car in self._inside:
-            self._dismiss(job, "void", "car is in the garage already")
+    def _request_park(self, task: Task, now_s: float) -> None:
+        if task.car in self._inside:
+            self._dismiss(task, "void", "car is in the garage already")
             return
         reason = self._no_slot() or self._too_long(now_s)
         if reason:
-            self._dismiss(job, "turned_away", reason)
-            self._turned_away.add(job.car)
+            self._dismiss(task, "turned_away", reason)
+            self._turned_away.add(task.car)
             return
-        self._turned_away.discard(job.car)
-        self._inside.add(job.car)
+        self._turned_away.discard(task.car)
+        self._inside.add(task.car)
         self.arrived += 1
         self.coming += 1
         if self.handover == "home":
-            job.at_bay_s = job.ready_s = now_s
-            self.open.append(job)
+            task.at_bay_s = task.ready_s = now_s
+            self.open.append(task)
         else:
-            self.queue.join(job, now_s)
+            self.queue.join(task, now_s)
 
     def _no_slot(self) -> str:
         """Why there is no slot for one more car, empty if there is one."""
@@ -253,27 +253,27 @@ class Garage:
             return f"queue too long: {expected_s / 60:.1f} min"
         return ""
 
-    def _request_retrieve(self, job: Job, now_s: float) -> None:
-        if job.car not in self._inside:
-            gone = job.car in self._turned_away
-            self._dismiss(job, "void", "car was turned away" if gone else "car is not in the garage")
+    def _request_retrieve(self, task: Task, now_s: float) -> None:
+        if task.car not in self._inside:
+            gone = task.car in self._turned_away
+            self._dismiss(task, "void", "car was turned away" if gone else "car is not in the garage")
             return
-        if job.car in self._asked_for:
-            self._dismiss(job, "void", "car is asked for already")
+        if task.car in self._asked_for:
+            self._dismiss(task, "void", "car is asked for already")
             return
-        self._asked_for.add(job.car)
-        if job.car in self.parked:
-            self._open_retrieve(job, now_s)
+        self._asked_for.add(task.car)
+        if task.car in self.parked:
+            self._open_retrieve(task, now_s)
         else:
-            self._early[job.car] = job
+            self._early[task.car] = task
 
-    def _open_retrieve(self, job: Job, now_s: float) -> None:
-        job.ready_s = now_s
-        job.origin = self.parked[job.car]
-        self.open.append(job)
+    def _open_retrieve(self, task: Task, now_s: float) -> None:
+        task.ready_s = now_s
+        task.origin = self.parked[task.car]
+        self.open.append(task)
 
-    def _dismiss(self, job: Job, state: Literal["turned_away", "void"], reason: str) -> None:
-        job.state, job.reason = state, reason
+    def _dismiss(self, task: Task, state: Literal["turned_away", "void"], reason: str) -> None:
+        task.state, task.reason = state, reason
         self.unfinished -= 1
 
     def _draw_handling(self) -> float:
@@ -291,83 +291,83 @@ class Garage:
             if not self.queue:
                 break
             if places.inbound is None and bay not in closed:
-                job = self.queue.call(now_s)
-                job.origin = bay
-                places.inbound = job
-                commands.append(CallForward(job.number, bay))
+                task = self.queue.call(now_s)
+                task.origin = bay
+                places.inbound = task
+                commands.append(CallForward(task.number, bay))
         return commands
 
-    def car_at_bay(self, request: RequestNumber, bay: Vertex, now_s: float) -> Job:
-        """A customer's car has stopped at the inbound place; the job is open from now on."""
-        job = self.jobs[request]
-        if self.bays[bay].inbound is not job:
+    def car_at_bay(self, request: RequestNumber, bay: Vertex, now_s: float) -> Task:
+        """A customer's car has stopped at the inbound place; the task is open from now on."""
+        task = self.tasks[request]
+        if self.bays[bay].inbound is not task:
             raise RuntimeError(f"the car of request {request} came to bay {bay}, where nobody called it")
-        job.at_bay_s = now_s
-        job.ready_s = now_s + job.handling_s
-        self.open.append(job)
-        return job
+        task.at_bay_s = now_s
+        task.ready_s = now_s + task.handling_s
+        self.open.append(task)
+        return task
 
-    def waiting_at(self, bay: Vertex) -> Job | None:
+    def waiting_at(self, bay: Vertex) -> Task | None:
         """The car that stands at a bay and that no AGV has been sent for."""
-        job = self.bays[bay].inbound
-        return job if job and job.agv < 0 and job.at_bay_s == job.at_bay_s else None
+        task = self.bays[bay].inbound
+        return task if task and task.agv < 0 and task.at_bay_s == task.at_bay_s else None
 
     def board(self, now_s: float) -> list[Command]:
         """Let those customers drive off who have got into their cars."""
         gone = [j for j in self._boarding if j.delivered_s + j.handling_s <= now_s]
-        for job in gone:
-            self._boarding.remove(job)
+        for task in gone:
+            self._boarding.remove(task)
         return [DriveOff(j.number, j.destination) for j in gone]
 
-    def car_left(self, request: RequestNumber, bay: Vertex, now_s: float) -> Job:
+    def car_left(self, request: RequestNumber, bay: Vertex, now_s: float) -> Task:
         """A retrieved car has driven off: its request is served and the outbound place is free."""
-        job = self.jobs[request]
-        if self.bays[bay].outbound is not job:
+        task = self.tasks[request]
+        if self.bays[bay].outbound is not task:
             raise RuntimeError(f"the car of request {request} left bay {bay}, where it did not stand")
         self.bays[bay].outbound = None
-        self._leave(job, now_s)
-        return job
+        self._leave(task, now_s)
+        return task
 
     # --- AGVs' side -----------------------------------------------------------------------------------------------
 
-    def assign(self, job: Job, agv: AgvNumber, now_s: float, origin: Vertex, slot: Vertex = NO_VERTEX) -> None:
-        """An AGV takes an open job; a parking job reserves its slot."""
-        self.open.remove(job)
-        job.agv, job.assigned_s, job.origin = agv, now_s, origin
-        if job.is_park:
-            job.destination = slot
+    def assign(self, task: Task, agv: AgvNumber, now_s: float, origin: Vertex, slot: Vertex = NO_VERTEX) -> None:
+        """An AGV takes an open task; a parking task reserves its slot."""
+        self.open.remove(task)
+        task.agv, task.assigned_s, task.origin = agv, now_s, origin
+        if task.is_park:
+            task.destination = slot
             self.reserved[slot] = agv
             self.slot_free[self._slot_number[slot]] = False
 
-    def unassign(self, job: Job) -> None:
-        """Give a job back that its AGV has not lifted yet."""
-        if job.is_park:
-            self.reserved.pop(job.destination)
-            self.slot_free[self._slot_number[job.destination]] = True
-        job.agv, job.destination, job.assigned_s = NO_AGV, NO_VERTEX, nan
-        if job.is_park and self.handover == "home":
-            job.origin = NO_VERTEX
-        self.open.insert(0, job)
+    def unassign(self, task: Task) -> None:
+        """Give a task back that its AGV has not lifted yet."""
+        if task.is_park:
+            self.reserved.pop(task.destination)
+            self.slot_free[self._slot_number[task.destination]] = True
+        task.agv, task.destination, task.assigned_s = NO_AGV, NO_VERTEX, nan
+        if task.is_park and self.handover == "home":
+            task.origin = NO_VERTEX
+        self.open.insert(0, task)
 
-    def move_reservation(self, job: Job, slot: Vertex) -> None:
+    def move_reservation(self, task: Task, slot: Vertex) -> None:
         """Reserve another slot for a car on its way to one."""
-        self.reserved[slot] = self.reserved.pop(job.destination)
-        self.slot_free[self._slot_number[job.destination]] = True
+        self.reserved[slot] = self.reserved.pop(task.destination)
+        self.slot_free[self._slot_number[task.destination]] = True
         self.slot_free[self._slot_number[slot]] = False
-        job.destination = slot
+        task.destination = slot
 
     def close(self, vertices: frozenset[Vertex]) -> None:
         """Let no slot among these be chosen until this is called again."""
         self.slot_open[:] = [slot not in vertices for slot in self.graph.slots]
 
-    def lifted(self, job: Job, now_s: float) -> None:
+    def lifted(self, task: Task, now_s: float) -> None:
         """The car is on the AGV. Its slot is for others only when ``vacate`` says so."""
-        job.lifted_s = now_s
-        if job.is_park:
+        task.lifted_s = now_s
+        if task.is_park:
             if self.handover == "bay":
-                self.bays[job.origin].inbound = None
+                self.bays[task.origin].inbound = None
         else:
-            slot = self.parked.pop(job.car)
+            slot = self.parked.pop(task.car)
             self.slot_of[slot] = ""
             self.blocked[slot] = 0
 
@@ -376,32 +376,32 @@ class Garage:
         if slot not in self.reserved and not self.slot_of[slot]:
             self.slot_free[self._slot_number[slot]] = True
 
-    def may_lower(self, job: Job) -> bool:
+    def may_lower(self, task: Task) -> bool:
         """The place where the car is to be put down is free."""
-        return job.is_park or self.handover == "home" or self.bays[job.destination].outbound is None
+        return task.is_park or self.handover == "home" or self.bays[task.destination].outbound is None
 
-    def lower_starts(self, job: Job) -> None:
+    def lower_starts(self, task: Task) -> None:
         """Keep the outbound place for the car that is being lowered."""
-        if not job.is_park and self.handover == "bay":
-            self.bays[job.destination].outbound = job
+        if not task.is_park and self.handover == "bay":
+            self.bays[task.destination].outbound = task
 
-    def lowered(self, job: Job, now_s: float) -> list[Command]:
+    def lowered(self, task: Task, now_s: float) -> list[Command]:
         """The car is down: in its slot, or at the bay where its customer gets in."""
-        job.delivered_s = now_s
-        if job.is_park:
-            self.reserved.pop(job.destination)
-            self._put(job.car, job.destination)
+        task.delivered_s = now_s
+        if task.is_park:
+            self.reserved.pop(task.destination)
+            self._put(task.car, task.destination)
             self.coming -= 1
-            self._serve(job, now_s)
-            early = self._early.pop(job.car, None)
+            self._serve(task, now_s)
+            early = self._early.pop(task.car, None)
             if early:
                 self._open_retrieve(early, now_s)
             return []
         if self.handover == "home":
-            self._leave(job, now_s)
+            self._leave(task, now_s)
             return []
-        self._boarding.append(job)
-        return [HandOver(job.number, job.destination)]
+        self._boarding.append(task)
+        return [HandOver(task.number, task.destination)]
 
     def _put(self, car: str, slot: Vertex) -> None:
         self.parked[car] = slot
@@ -409,19 +409,19 @@ class Garage:
         self.slot_free[self._slot_number[slot]] = False
         self.blocked[slot] = 1
 
-    def _leave(self, job: Job, now_s: float) -> None:
+    def _leave(self, task: Task, now_s: float) -> None:
         self.left += 1
-        self._inside.remove(job.car)
-        self._asked_for.remove(job.car)
-        self._serve(job, now_s)
+        self._inside.remove(task.car)
+        self._asked_for.remove(task.car)
+        self._serve(task, now_s)
 
-    def _serve(self, job: Job, now_s: float) -> None:
-        job.state, job.done_s = "served", now_s
+    def _serve(self, task: Task, now_s: float) -> None:
+        task.state, task.done_s = "served", now_s
         self.unfinished -= 1
 
     def in_transit(self) -> int:
         """Cars that are in the garage's care but not parked: in the street, at bays or on AGVs."""
-        going = sum(1 for j in self.jobs if not j.is_park and j.state == "waiting" and j.lifted_s == j.lifted_s)
+        going = sum(1 for j in self.tasks if not j.is_park and j.state == "waiting" and j.lifted_s == j.lifted_s)
         return self.coming + going
 
     def audit(self) -> list[str]:
@@ -434,11 +434,11 @@ class Garage:
             )
         if sorted(self.parked.values()) != sorted(v for v, car in self.slot_of.items() if car):
             problems.append("slots and parked cars disagree")
-        if self.coming != sum(1 for j in self.jobs if j.is_park and j.state == "waiting"):
+        if self.coming != sum(1 for j in self.tasks if j.is_park and j.state == "waiting"):
             problems.append("cars: the count of those on their way in is off")
         if len(self.parked) + self.coming > len(self.graph.slots):
             problems.append(f"cars: {len(self.parked)} parked and {self.coming} coming exceed the slots")
-        states = [j.state for j in self.jobs]
+        states = [j.state for j in self.tasks]
         if self.unfinished != states.count("waiting"):
             problems.append("requests: the count of unfinished ones is off")
         return problems

@@ -20,7 +20,7 @@ from controller.deadlock.waits import WaitGraph, wait_graph
 from controller.executor import Executor
 from controller.faults import Outages
 from controller.fleet import Agv
-from controller.garage import Garage, Job
+from controller.garage import Garage, Task
 from controller.types import FOREVER, NO_AGV, NO_REQUEST, AgvMode, AgvNumber, RequestNumber
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex
@@ -87,8 +87,8 @@ class Holds:
     def of_all(self) -> list[Hold]:
         """What holds AGVs with something to do, and requests that no AGV works on, now."""
         held = self.of_agvs(agv.number for agv in self._agvs if self.has_work(agv))
-        waiting = [job for job in self._garage.jobs if job.state == "waiting" and job.agv < 0]
-        return [*held, *(hold for job in waiting if (hold := self._of_request(job)))]
+        waiting = [task for task in self._garage.tasks if task.state == "waiting" and task.agv < 0]
+        return [*held, *(hold for task in waiting if (hold := self._of_request(task)))]
 
     def of_agvs(self, numbers: Iterable[AgvNumber]) -> Iterator[Hold]:
         """What holds these AGVs, for those that something holds."""
@@ -97,12 +97,12 @@ class Holds:
         for n in numbers:
             hold = self._of_agv(self._agvs[n], waits, walls)
             if hold:
-                job = self._agvs[n].job
-                yield replace(hold, agv=n, request=job.number if job else NO_REQUEST)
+                task = self._agvs[n].task
+                yield replace(hold, agv=n, request=task.number if task else NO_REQUEST)
 
     def has_work(self, agv: Agv) -> bool:
         """It has a task, or somewhere to go, or has to charge."""
-        return agv.job is not None or agv.due or agv.goal != self._executor.agvs[agv.number].last
+        return agv.task is not None or agv.due or agv.goal != self._executor.agvs[agv.number].last
 
     # --- AGVs -----------------------------------------------------------------------------------------------------
 
@@ -146,14 +146,14 @@ class Holds:
 
     def _at_goal(self, agv: Agv) -> Hold | None:
         """What holds an AGV that stands where it was to go."""
-        job = agv.job
-        if job is None:
+        task = agv.task
+        if task is None:
             return self._none_free(Cause.NO_CHARGER, self._garage.graph.chargers) if agv.due else None
         if agv.mode is AgvMode.GOING_TO_COLLECT:
             return Hold(Cause.CUSTOMER, vertex=agv.goal)
-        if job.destination < 0:
+        if task.destination < 0:
             return self._none_free(Cause.NO_BAY, self._garage.bays)
-        return None if self._garage.may_lower(job) else Hold(Cause.BAY_TAKEN, vertex=agv.goal)
+        return None if self._garage.may_lower(task) else Hold(Cause.BAY_TAKEN, vertex=agv.goal)
 
     def _cut_off(self, agv: Agv, walls: Collection[Vertex]) -> Hold:
         """The wall that is first on the shortest way to the goal, and the faults behind it."""
@@ -174,29 +174,29 @@ class Holds:
 
     # --- requests -------------------------------------------------------------------------------------------------
 
-    def _of_request(self, job: Job) -> Hold | None:
+    def _of_request(self, task: Task) -> Hold | None:
         """What holds a request that no AGV works on; None if it waits for its car to be parked first."""
-        hold = self._in_the_street(job) if job.at_bay_s != job.at_bay_s else self._for_an_agv(job)
-        return replace(hold, request=job.number) if hold else None
+        hold = self._in_the_street(task) if task.at_bay_s != task.at_bay_s else self._for_an_agv(task)
+        return replace(hold, request=task.number) if hold else None
 
-    def _in_the_street(self, job: Job) -> Hold | None:
-        if not job.is_park:
-            return self._for_an_agv(job) if job.origin >= 0 else None
+    def _in_the_street(self, task: Task) -> Hold | None:
+        if not task.is_park:
+            return self._for_an_agv(task) if task.origin >= 0 else None
         return (
-            Hold(Cause.NOT_COME, vertex=job.origin)
-            if job.origin >= 0
+            Hold(Cause.NOT_COME, vertex=task.origin)
+            if task.origin >= 0
             else self._none_free(Cause.NO_BAY, self._garage.bays)
         )
 
-    def _for_an_agv(self, job: Job) -> Hold:
+    def _for_an_agv(self, task: Task) -> Hold:
         garage = self._garage
-        if job.is_park and not (garage.slot_free & garage.slot_open).any():
+        if task.is_park and not (garage.slot_free & garage.slot_open).any():
             return self._none_free(Cause.NO_SLOT, garage.slot_of)
-        if any(agv.due and agv.job is None and not (agv.immobile or agv.off_duty) for agv in self._agvs):
-            return replace(self._none_free(Cause.NO_CHARGER, garage.graph.chargers), vertex=job.origin)
+        if any(agv.due and agv.task is None and not (agv.immobile or agv.off_duty) for agv in self._agvs):
+            return replace(self._none_free(Cause.NO_CHARGER, garage.graph.chargers), vertex=task.origin)
         out = [agv for agv in self._agvs if agv.immobile or agv.off_duty]
         faults = tuple(dict.fromkeys(f for agv in out for f in self._outages.holding(agv.number)))
-        return Hold(Cause.NO_AGV, vertex=job.origin, faults=faults if len(out) == len(self._agvs) else ())
+        return Hold(Cause.NO_AGV, vertex=task.origin, faults=faults if len(out) == len(self._agvs) else ())
 
     # --- for ever -------------------------------------------------------------------------------------------------
 
@@ -210,35 +210,35 @@ class Holds:
             True on proof; False where it is not known.
         """
         garage, closed = self._garage, self._outages.closed
-        waiting = [job for job in garage.jobs if job.state == "waiting"]
+        waiting = [task for task in garage.tasks if task.state == "waiting"]
         walls = walls_of(self._executor, closed, still)
         at = {agv.number: self._executor.agvs[agv.number].last for agv in self._agvs if agv.number not in still}
         ways = {n: reachable(self._executor.graph, v, walls) for n, v in at.items()}
-        free = [ways[n] for n in at if self._agvs[n].job is None]
-        return all(self._is_lost(job, ways, free) for job in waiting)
+        free = [ways[n] for n in at if self._agvs[n].task is None]
+        return all(self._is_lost(task, ways, free) for task in waiting)
 
-    def _is_lost(self, job: Job, ways: dict[AgvNumber, set[Vertex]], free: Sequence[set[Vertex]]) -> bool:
+    def _is_lost(self, task: Task, ways: dict[AgvNumber, set[Vertex]], free: Sequence[set[Vertex]]) -> bool:
         garage, closed = self._garage, self._outages.closed
-        if job.agv >= 0 and job.delivered_s != job.delivered_s:
-            return job.agv not in ways or self._goal_is_lost(job, ways[job.agv])
-        if job.agv >= 0:  # its customer is getting in or driving off
+        if task.agv >= 0 and task.delivered_s != task.delivered_s:
+            return task.agv not in ways or self._goal_is_lost(task, ways[task.agv])
+        if task.agv >= 0:  # its customer is getting in or driving off
             return False
-        if job.origin < 0 and job.is_park and garage.handover == "bay":  # in the queue
+        if task.origin < 0 and task.is_park and garage.handover == "bay":  # in the queue
             return all(bay in closed or places.inbound is not None for bay, places in garage.bays.items())
-        if job.origin < 0 and not job.is_park:  # its car is being parked, and that request is lost itself
+        if task.origin < 0 and not task.is_park:  # its car is being parked, and that request is lost itself
             return True
-        if job.is_park and job.at_bay_s != job.at_bay_s:  # its customer is on the way to the bay
+        if task.is_park and task.at_bay_s != task.at_bay_s:  # its customer is on the way to the bay
             return False
-        if job.is_park and not (garage.slot_free & garage.slot_open).any():
+        if task.is_park and not (garage.slot_free & garage.slot_open).any():
             return True
-        if job.origin < 0:  # a car to be fetched from the home of whichever AGV takes it
+        if task.origin < 0:  # a car to be fetched from the home of whichever AGV takes it
             return not free
-        return not any(job.origin in way for way in free)
+        return not any(task.origin in way for way in free)
 
-    def _goal_is_lost(self, job: Job, way: set[Vertex]) -> bool:
+    def _goal_is_lost(self, task: Task, way: set[Vertex]) -> bool:
         """The AGV that works on the request will never be where it has to go."""
-        goal = self._agvs[job.agv].goal
-        if not job.is_park and job.destination < 0 and job.lifted_s == job.lifted_s:
+        goal = self._agvs[task.agv].goal
+        if not task.is_park and task.destination < 0 and task.lifted_s == task.lifted_s:
             return not any(bay in way for bay in self._garage.bays)
         return goal not in way
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from controller.costs import Costs
 from controller.dispatch import AGE_WEIGHT, oldest_first, pairs
-from controller.garage import Garage, Job
+from controller.garage import Garage, Task
 from controller.types import AgvNumber
 from sumo_nets.graph import FloatArray, IntArray
 from sumo_nets.numbering import NO_VERTEX, Vertex
@@ -17,8 +17,9 @@ from sumo_nets.numbering import NO_VERTEX, Vertex
 #: car by then.
 ONWARD_WEIGHT = 0.5
 
-#: Seconds of driving that a second outweighs for which a car has been on its AGV. Less than for jobs: while an AGV from
-#: far away is on its way to a bay, nobody else can use that bay.
+#: Each second that a car has waited on its AGV counts as this many seconds of driving when bays are assigned. The
+#: weight is lower than the one for tasks: while an AGV from far away is on its way to a bay, no other AGV can use
+#: that bay.
 WAIT_WEIGHT = 0.02
 
 
@@ -44,13 +45,13 @@ def choose_slot(garage: Garage, origin: Vertex, zone: str, costs: Costs, around_
     return Vertex(int(free[np.argmin(cost)]))
 
 
-def _onward(slots: IntArray, jobs: Sequence[Job], costs: Costs) -> FloatArray:
-    """From each slot what the cheapest car to be fetched next costs as ``nearest_job`` counts; 0 if there is none."""
-    fetch = oldest_first([job for job in jobs if not job.is_park])
+def _onward(slots: IntArray, tasks: Sequence[Task], costs: Costs) -> FloatArray:
+    """From each slot what the cheapest car to be fetched next costs as ``nearest_task`` counts; 0 if there is none."""
+    fetch = oldest_first([task for task in tasks if not task.is_park])
     if not fetch:
         return np.zeros(len(slots))
-    younger = [AGE_WEIGHT * (job.requested_s - fetch[0].requested_s) / costs.step_s for job in fetch]
-    return costs.turning_to_any([job.origin for job in fetch], younger)[slots]
+    younger = [AGE_WEIGHT * (task.requested_s - fetch[0].requested_s) / costs.step_s for task in fetch]
+    return costs.turning_to_any([task.origin for task in fetch], younger)[slots]
 
 
 def choose_bays(

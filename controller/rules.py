@@ -25,7 +25,7 @@ class Rules:
         around_cars: slots are chosen by the way around parked cars as they stand now.
         resolve_deadlocks: deadlocks are looked for and resolved.
         empty_avoid_slots: AGVs on their way home without a car do not pass through empty slots.
-        keep_for_returning: each AGV on its way home keeps one open job from being taken by others (the thesis starts
+        keep_for_returning: each AGV on its way home keeps one open task from being taken by others (the thesis starts
             tasks while completed + active < wanted, and counts those on their way home as active).
         run_on_steps: the run goes on so long after the last task, or until all AGVs are idle.
     """

@@ -25,7 +25,7 @@ NO_AGV: Final = AgvNumber(-1)
 #: How events leave the controller: kind, AGV (or ``NO_AGV``), car, vertex (or ``NO_VERTEX``), details.
 Log = Callable[[str, AgvNumber, str, Vertex, dict[str, object]], None]
 
-#: Number of a request, and of its job: its position among all requests of the run.
+#: Number of a request, and of its task: its position among all requests of the run.
 RequestNumber = NewType("RequestNumber", int)
 NO_REQUEST: Final = RequestNumber(-1)
 

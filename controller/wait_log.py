@@ -70,10 +70,10 @@ class WaitLog:
             return
         since = self._since[hold.agv]
         self._waits[hold.agv] = _Wait(since, hold)
-        job = self._agvs[hold.agv].job
+        task = self._agvs[hold.agv].task
         since_s = since * self._executor.motion.step_s
         detail = {**hold_detail(hold), "since_s": since_s}
-        self._log("held", hold.agv, job.car if job else "", hold.vertex, detail)
+        self._log("held", hold.agv, task.car if task else "", hold.vertex, detail)
 
     def _end(self, wait: _Wait, agv: Agv, step: int) -> None:
         waited_s = (step - wait.since) * self._executor.motion.step_s

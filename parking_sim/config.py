@@ -238,7 +238,7 @@ class Scenario(_Options):
         default_factory=dict, description="options passed to the planner by name"
     )
     dispatch: str = Field(
-        default="nearest-job", min_length=1, description="rule that assigns AGVs and slots to requests"
+        default="nearest-task", min_length=1, description="rule that assigns AGVs and slots to requests"
     )
     seed: int = Field(default=0, ge=0, lt=2**31, description="seed of every random stream of the run")
     workload: WorkloadConfig = Field(default_factory=ParkExit, description="what the customers want")

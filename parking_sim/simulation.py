@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from controller.faults import REPORTED, FaultReport
-from controller.garage import Job
+from controller.garage import Task
 from controller.types import NO_AGV, Action, Advance, AgvMode, AgvNumber, Request, whole_steps
 from parking_sim.assembly import World, assemble
 from parking_sim.config import Scenario
@@ -203,7 +203,7 @@ class RunLoop:
         self._last_task = -1
         self._moved = (0, 0, 0)
         self._moved_s = 0.0
-        self._ready: list[Job] = []
+        self._ready: list[Task] = []
         no_plan: tuple[int, tuple[Vertex, ...]] = (0, ())
         self._plans: NumberedList[AgvNumber, tuple[int, tuple[Vertex, ...]]] = [no_plan] * len(self.acs.agvs)
         self._overlaps = self._turns = 0
@@ -318,18 +318,18 @@ class RunLoop:
         """Take over what happened in the street, then the requests that are due."""
         for event in self.plant.events():
             if isinstance(event, CarAtBay):
-                job = self.garage.car_at_bay(event.request, event.bay, self.now_s)
-                self._ready.append(job)
-                self._log("car_at_bay", NO_AGV, job.car, event.bay, {"request": job.number})
+                task = self.garage.car_at_bay(event.request, event.bay, self.now_s)
+                self._ready.append(task)
+                self._log("car_at_bay", NO_AGV, task.car, event.bay, {"request": task.number})
             elif isinstance(event, FaultReport):
                 self._fault(event)
             else:
-                job = self.garage.car_left(event.request, event.bay, self.now_s)
-                self._log("car_left", NO_AGV, job.car, event.bay, {"request": job.number})
-                self._log("task_done", job.agv, job.car, event.bay, {"request": job.number})
-        for job in [j for j in self._ready if j.ready_s <= self.now_s]:
-            self._ready.remove(job)
-            self._log("car_ready", NO_AGV, job.car, job.origin, {"request": job.number})
+                task = self.garage.car_left(event.request, event.bay, self.now_s)
+                self._log("car_left", NO_AGV, task.car, event.bay, {"request": task.number})
+                self._log("task_done", task.agv, task.car, event.bay, {"request": task.number})
+        for task in [j for j in self._ready if j.ready_s <= self.now_s]:
+            self._ready.remove(task)
+            self._log("car_ready", NO_AGV, task.car, task.origin, {"request": task.number})
         if not self._pending and self.garage.unfinished == 0:
             self._next_phase()
         while self._pending and self._pending[-1].time_s + self._phase_start_s <= self.now_s:
@@ -354,13 +354,13 @@ class RunLoop:
             self._phase_start_s = self.now_s
 
     def _request(self, request: Request) -> None:
-        job = self.garage.request(request, self.now_s)
-        self._log("request_made", NO_AGV, job.car, NO_VERTEX, {"request": job.number, "what": request.kind.value})
-        if job.reason:
-            kind = "turned_away" if job.state == "turned_away" else "request_void"
-            self._log(kind, NO_AGV, job.car, NO_VERTEX, {"request": job.number, "reason": job.reason})
-        elif job.is_park and self.garage.handover == "bay":
-            self.plant.arrive(job.number)
+        task = self.garage.request(request, self.now_s)
+        self._log("request_made", NO_AGV, task.car, NO_VERTEX, {"request": task.number, "what": request.kind.value})
+        if task.reason:
+            kind = "turned_away" if task.state == "turned_away" else "request_void"
+            self._log(kind, NO_AGV, task.car, NO_VERTEX, {"request": task.number, "reason": task.reason})
+        elif task.is_park and self.garage.handover == "bay":
+            self.plant.arrive(task.number)
 
     def _finished(self) -> bool:
         no_more = not self._pending and self._phase + 1 >= len(self.world.demand.phases)
@@ -429,7 +429,7 @@ class RunLoop:
         t = perf_counter()
         agvs = self.acs.agvs
         cars = [
-            agv.job.car if a.loaded and agv.job else "" for agv, a in zip(agvs, self.acs.executor.agvs, strict=True)
+            agv.task.car if a.loaded and agv.task else "" for agv, a in zip(agvs, self.acs.executor.agvs, strict=True)
         ]
         self.recorder.sample(
             self.now_s, self.plant.samples(), [a.mode.value for a in agvs], cars, [a.soc for a in agvs]
@@ -441,7 +441,7 @@ class RunLoop:
             self._soc[i] = agv.soc
         street = self.plant.street()
         queue, spilled = (street.queued, street.spilled) if street else (len(self.garage.queue), 0)
-        active = sum(1 for a in agvs if a.job is not None)
+        active = sum(1 for a in agvs if a.task is not None)
         parked, waiting = len(self.garage.parked), len(self.garage.open)
         self.recorder.timeline(self.now_s, queue + spilled, spilled, parked, waiting, active)
         self._wall["record"] += perf_counter() - t
@@ -466,7 +466,7 @@ class RunLoop:
         if self._progress is None or perf_counter() - self._told < PROGRESS_S:
             return
         self._told = perf_counter()
-        done = len(self.garage.jobs) - self.garage.unfinished
+        done = len(self.garage.tasks) - self.garage.unfinished
         self._progress(Progress(self.now_s, done, self.world.demand.total, self._told - self._start))
 
     # --- the end --------------------------------------------------------------------------------------------------
@@ -474,10 +474,10 @@ class RunLoop:
     def finish(self, status: str) -> Summary:
         """Write the record and work out the metrics."""
         out = self.out
-        for job in self.garage.jobs:
-            self.recorder.task(self._task_row(job))
+        for task in self.garage.tasks:
+            self.recorder.task(self._task_row(task))
         for i, agv in numbered(self.acs.agvs):
-            self.recorder.agv(self._agv_row(i, agv.tasks))
+            self.recorder.agv(self._agv_row(i, agv.tasks_done))
         held = self._open_work(status)
         meta = {**self._meta(status), "held": held}
         from analysis.checks import failed_checks, run_checks
@@ -504,10 +504,10 @@ class RunLoop:
         from analysis.holds import Held, ending
         from analysis.tables import recorded_run
 
-        jobs, names = self.garage.jobs, self.names
+        tasks, names = self.garage.tasks, self.names
         holds = [
             Held(
-                hold.agv, hold.request, jobs[hold.request].car if hold.request >= 0 else "", hold.cause.value,
+                hold.agv, hold.request, tasks[hold.request].car if hold.request >= 0 else "", hold.cause.value,
                 hold.chain, hold.faults, names[hold.vertex] if hold.vertex >= 0 else "",
             )
             for hold in self.acs.holds.of_all()
@@ -515,14 +515,14 @@ class RunLoop:
         shown = [held for held in holds if status == "stalled" or not held.is_ordinary]
         return tuple(ending(shown, fault_spans(recorded_run(self.recorder, {})), self.now_s))
 
-    def _task_row(self, job: Job) -> TaskRow:
+    def _task_row(self, task: Task) -> TaskRow:
         def name(vertex: Vertex) -> str:
             return self.names[vertex] if vertex >= 0 else ""
 
         return TaskRow(
-            job.number, job.request.kind.value, job.car, job.state, job.reason, job.agv, name(job.origin),
-            name(job.destination), job.requested_s, job.at_bay_s, job.ready_s, job.assigned_s, job.lifted_s,
-            job.delivered_s, job.done_s,
+            task.number, task.request.kind.value, task.car, task.state, task.reason, task.agv, name(task.origin),
+            name(task.destination), task.requested_s, task.at_bay_s, task.ready_s, task.assigned_s, task.lifted_s,
+            task.delivered_s, task.done_s,
         )  # fmt: skip
 
     def _agv_row(self, i: AgvNumber, tasks: int) -> AgvRow:

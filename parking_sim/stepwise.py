@@ -151,7 +151,7 @@ class Simulation:
         garage, executor = run.garage, run.acs.executor
         agvs = []
         for agv, authority, place in zip(run.acs.agvs, executor.agvs, run.plant.samples(), strict=True):
-            car = agv.job.car if authority.loaded and agv.job else ""
+            car = agv.task.car if authority.loaded and agv.task else ""
             at = names[authority.trail[max(0, authority.reached - authority.first)]]
             agvs.append(
                 AgvNow(
@@ -160,7 +160,7 @@ class Simulation:
                 )
             )  # fmt: skip
         parked = {car: names[slot] for car, slot in garage.parked.items()}
-        ended = len(garage.jobs) - garage.unfinished
+        ended = len(garage.tasks) - garage.unfinished
         return State(run.now_s, run.step, tuple(agvs), parked, garage.unfinished, ended)
 
     @property

@@ -11,7 +11,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from controller.garage import Customers, Garage, Job
+from controller.garage import Customers, Garage, Task
 from controller.types import CallForward, DriveOff, HandOver, Request, RequestKind
 from sumo_nets.graph import Graph, make_graph
 
@@ -38,11 +38,11 @@ def empty(handover="bay", **customers) -> Garage:
     return Garage(GRAPH, handover, np.random.default_rng(1), Customers(10.0, **customers))
 
 
-def park(garage: Garage, car: str, now_s: float = 0.0) -> Job:
+def park(garage: Garage, car: str, now_s: float = 0.0) -> Task:
     return garage.request(Request(now_s, RequestKind.PARK, car), now_s)
 
 
-def retrieve(garage: Garage, car: str) -> Job:
+def retrieve(garage: Garage, car: str) -> Task:
     return garage.request(Request(0.0, RequestKind.RETRIEVE, car), 0.0)
 
 
@@ -52,11 +52,11 @@ def with_cars(*cars: str, handover="home") -> Garage:
     return garage
 
 
-def brought_in(garage: Garage, job: Job, slot: int) -> None:
+def brought_in(garage: Garage, task: Task, slot: int) -> None:
     """What an AGV does with a car that stands at home."""
-    garage.assign(job, 0, 1.0, GRAPH.homes[0], slot)
-    garage.lifted(job, 2.0)
-    garage.lowered(job, 3.0)
+    garage.assign(task, 0, 1.0, GRAPH.homes[0], slot)
+    garage.lifted(task, 2.0)
+    garage.lowered(task, 3.0)
 
 
 class Books(RuleBasedStateMachine):
@@ -69,45 +69,45 @@ class Books(RuleBasedStateMachine):
         #: car -> "coming", "parked", "leaving"; a car that was turned away or has left is not here
         self.cars = {f"early{k}": "parked" for k in range(cars)}
         self.asked: set[str] = set()
-        self.called: list[Job] = []
-        self.assigned: list[Job] = []
-        self.carried: list[Job] = []
-        self.boarding: list[Job] = []
+        self.called: list[Task] = []
+        self.assigned: list[Task] = []
+        self.carried: list[Task] = []
+        self.boarding: list[Task] = []
         self.now_s = 0.0
         self.away: set[str] = set()
         self.made = self.served = self.turned_away = self.void = 0
 
     @rule(car=st.sampled_from("abcdef"))
     def customer_comes(self, car):
-        job = park(self.garage, car)
+        task = park(self.garage, car)
         self.made += 1
         places = list(self.cars.values())
         if car in self.cars:
-            assert (job.state, job.reason) == ("void", "car is in the garage already")
+            assert (task.state, task.reason) == ("void", "car is in the garage already")
             self.void += 1
         elif len(places) - places.count("leaving") == len(SLOTS):
-            assert job.state == "turned_away"
-            parked, queue, coming = (int(n) for n in re.findall(r"\d+", job.reason))
+            assert task.state == "turned_away"
+            parked, queue, coming = (int(n) for n in re.findall(r"\d+", task.reason))
             assert parked == places.count("parked")
             assert queue + coming == places.count("coming")
             assert queue == len(self.garage.queue)
             self.turned_away += 1
             self.away.add(car)
         else:
-            assert job.state == "waiting"
+            assert task.state == "waiting"
             self.cars[car] = "coming"
             self.away.discard(car)
 
     @rule(car=st.sampled_from(["a", "b", "c", "d", "e", "f", "early0", "early1", "unknown"]))
     def customer_wants_the_car_back(self, car):
-        job = retrieve(self.garage, car)
+        task = retrieve(self.garage, car)
         self.made += 1
         if car not in self.cars or car in self.asked:
             gone = "car was turned away" if car in self.away else "car is not in the garage"
-            assert (job.state, job.reason) == ("void", "car is asked for already" if car in self.cars else gone)
+            assert (task.state, task.reason) == ("void", "car is asked for already" if car in self.cars else gone)
             self.void += 1
         else:
-            assert job.state == "waiting"
+            assert task.state == "waiting"
             self.asked.add(car)
 
     @rule(closed=st.sets(st.sampled_from(GRAPH.bays), max_size=2))
@@ -118,95 +118,95 @@ class Books(RuleBasedStateMachine):
             self.called.append(self.garage.bays[command.bay].inbound)
             assert self.called[-1].number == command.request
         before_lifting = (*self.called, *self.garage.open, *self.assigned)
-        taken = {job.origin for job in before_lifting if job.is_park}
+        taken = {task.origin for task in before_lifting if task.is_park}
         assert not self.garage.queue or set(GRAPH.bays) <= taken | closed, "a customer waits while a bay is free"
 
     @precondition(lambda self: self.called)
     @rule(data=st.data())
     def car_reaches_its_bay(self, data):
-        job = data.draw(st.sampled_from(self.called))
-        self.called.remove(job)
-        assert self.garage.car_at_bay(job.number, job.origin, self.now_s) is job
-        assert job.ready_s >= job.at_bay_s == self.now_s
+        task = data.draw(st.sampled_from(self.called))
+        self.called.remove(task)
+        assert self.garage.car_at_bay(task.number, task.origin, self.now_s) is task
+        assert task.ready_s >= task.at_bay_s == self.now_s
 
     @precondition(lambda self: self.garage.open)
     @rule(data=st.data())
-    def an_agv_takes_a_job(self, data):
-        job = data.draw(st.sampled_from(self.garage.open))
+    def an_agv_takes_a_task(self, data):
+        task = data.draw(st.sampled_from(self.garage.open))
         free = [int(v) for v in self.garage.slots[self.garage.slot_free]]
-        if job.is_park and not free:
-            leaving = [job for job in self.carried if not job.is_park and job.destination < 0]
+        if task.is_park and not free:
+            leaving = [task for task in self.carried if not task.is_park and task.destination < 0]
             assert leaving, "a car was let in without a slot for it"
             return
-        slot = data.draw(st.sampled_from(free)) if job.is_park else -1
-        self.garage.assign(job, 0, self.now_s, job.origin if job.origin >= 0 else GRAPH.homes[0], slot)
-        self.assigned.append(job)
+        slot = data.draw(st.sampled_from(free)) if task.is_park else -1
+        self.garage.assign(task, 0, self.now_s, task.origin if task.origin >= 0 else GRAPH.homes[0], slot)
+        self.assigned.append(task)
 
     @precondition(lambda self: self.assigned)
     @rule(data=st.data())
-    def an_agv_gives_a_job_back(self, data):
-        job = data.draw(st.sampled_from(self.assigned))
-        self.assigned.remove(job)
-        self.garage.unassign(job)
+    def an_agv_gives_a_task_back(self, data):
+        task = data.draw(st.sampled_from(self.assigned))
+        self.assigned.remove(task)
+        self.garage.unassign(task)
 
     @precondition(lambda self: self.assigned)
     @rule(data=st.data())
     def an_agv_lifts(self, data):
-        job = data.draw(st.sampled_from(self.assigned))
-        self.assigned.remove(job)
-        self.garage.lifted(job, self.now_s)
-        self.carried.append(job)
-        if not job.is_park:
-            assert self.cars[job.car] == "parked"
-            self.cars[job.car] = "leaving"
+        task = data.draw(st.sampled_from(self.assigned))
+        self.assigned.remove(task)
+        self.garage.lifted(task, self.now_s)
+        self.carried.append(task)
+        if not task.is_park:
+            assert self.cars[task.car] == "parked"
+            self.cars[task.car] = "leaving"
 
-    @precondition(lambda self: any(job.destination < 0 for job in self.carried))
+    @precondition(lambda self: any(task.destination < 0 for task in self.carried))
     @rule(data=st.data())
     def an_agv_learns_where_to_bring_its_car(self, data):
-        job = data.draw(st.sampled_from([job for job in self.carried if job.destination < 0]))
-        job.destination = data.draw(st.sampled_from(GRAPH.bays)) if self.garage.handover == "bay" else GRAPH.homes[0]
+        task = data.draw(st.sampled_from([task for task in self.carried if task.destination < 0]))
+        task.destination = data.draw(st.sampled_from(GRAPH.bays)) if self.garage.handover == "bay" else GRAPH.homes[0]
         for _ in range(data.draw(st.integers(1, 2))):  # once more does no harm
-            self.garage.vacate(job.origin)
+            self.garage.vacate(task.origin)
 
     @precondition(lambda self: self._may_lower())
     @rule(data=st.data())
     def an_agv_lowers(self, data):
-        job = data.draw(st.sampled_from(self._may_lower()))
-        self.carried.remove(job)
-        self.garage.lower_starts(job)
-        commands = self.garage.lowered(job, self.now_s)
-        if job.is_park:
-            self.cars[job.car] = "parked"
+        task = data.draw(st.sampled_from(self._may_lower()))
+        self.carried.remove(task)
+        self.garage.lower_starts(task)
+        commands = self.garage.lowered(task, self.now_s)
+        if task.is_park:
+            self.cars[task.car] = "parked"
             self.served += 1
         elif self.garage.handover == "bay":
-            assert commands == [HandOver(job.number, job.destination)]
+            assert commands == [HandOver(task.number, task.destination)]
         else:
-            self._has_left(job)
+            self._has_left(task)
 
     @rule(seconds=st.floats(0.0, 60.0))
     def time_passes(self, seconds):
         self.now_s += seconds
         for command in self.garage.board(self.now_s):
             assert isinstance(command, DriveOff)
-            job = self.garage.bays[command.bay].outbound
-            assert job.number == command.request
-            assert job.delivered_s + job.handling_s <= self.now_s
-            self.boarding.append(job)
+            task = self.garage.bays[command.bay].outbound
+            assert task.number == command.request
+            assert task.delivered_s + task.handling_s <= self.now_s
+            self.boarding.append(task)
 
     @precondition(lambda self: self.boarding)
     @rule(data=st.data())
     def car_drives_off(self, data):
-        job = data.draw(st.sampled_from(self.boarding))
-        self.boarding.remove(job)
-        assert self.garage.car_left(job.number, job.destination, self.now_s) is job
-        self._has_left(job)
+        task = data.draw(st.sampled_from(self.boarding))
+        self.boarding.remove(task)
+        assert self.garage.car_left(task.number, task.destination, self.now_s) is task
+        self._has_left(task)
 
     def _may_lower(self):
-        return [job for job in self.carried if job.destination >= 0 and self.garage.may_lower(job)]
+        return [task for task in self.carried if task.destination >= 0 and self.garage.may_lower(task)]
 
-    def _has_left(self, job):
-        del self.cars[job.car]
-        self.asked.discard(job.car)
+    def _has_left(self, task):
+        del self.cars[task.car]
+        self.asked.discard(task.car)
         self.served += 1
 
     @invariant()
@@ -217,7 +217,7 @@ class Books(RuleBasedStateMachine):
         where = sorted(self.cars.values())
         assert set(self.garage.parked) == {car for car, place in self.cars.items() if place == "parked"}
         assert self.garage.in_transit() == where.count("coming") + where.count("leaving")
-        states = [job.state for job in self.garage.jobs]
+        states = [task.state for task in self.garage.tasks]
         assert len(states) == self.made
         counts = [states.count(state) for state in ("served", "turned_away", "void")]
         assert counts == [self.served, self.turned_away, self.void]
@@ -228,8 +228,8 @@ class Books(RuleBasedStateMachine):
         if not hasattr(self, "garage"):
             return
         parked = list(self.garage.parked.values())
-        promised = [job.destination for job in (*self.assigned, *self.carried) if job.is_park]
-        left_soon = [job.origin for job in self.carried if not job.is_park and job.destination < 0]
+        promised = [task.destination for task in (*self.assigned, *self.carried) if task.is_park]
+        left_soon = [task.origin for task in self.carried if not task.is_park and task.destination < 0]
         taken = parked + promised + left_soon
         assert len(set(taken)) == len(taken)
         free = set(self.garage.slots[self.garage.slot_free].tolist())
@@ -254,7 +254,7 @@ def test_a_full_garage_turns_customers_away_until_a_car_is_lifted_to_go_out():
     assert park(garage, "g").state == "waiting", "a car on its way out needs no slot"
     assert park(garage, "h").state == "turned_away"
     assert garage.audit() == []
-    assert all(math.isnan(job.done_s) for job in garage.jobs), "who is turned away is not done"
+    assert all(math.isnan(task.done_s) for task in garage.tasks), "who is turned away is not done"
 
 
 def test_cars_in_the_queue_have_slots_promised_to_them():
@@ -268,8 +268,8 @@ def test_cars_in_the_queue_have_slots_promised_to_them():
 def test_a_car_that_was_turned_away_cannot_be_asked_for_and_may_come_again():
     garage = with_cars("a", "b", "c", "d")
     park(garage, "e")
-    job = retrieve(garage, "e")
-    assert (job.state, job.reason) == ("void", "car was turned away")
+    task = retrieve(garage, "e")
+    assert (task.state, task.reason) == ("void", "car was turned away")
     out = retrieve(garage, "a")
     garage.assign(out, 0, 1.0, out.origin)
     garage.lifted(out, 2.0)
@@ -291,12 +291,12 @@ def test_customers_turn_away_at_a_queue_of_so_many_cars():
 def test_customers_turn_away_at_a_queue_that_they_expect_to_last_so_long():
     """Both bays are taken at once, then the head of the queue leaves it every 40 s; a customer bears two minutes."""
     garage = Garage(BIG, "bay", np.random.default_rng(1), Customers(balk_s=120.0))
-    jobs = [park(garage, f"car{k}") for k in range(6)]
+    tasks = [park(garage, f"car{k}") for k in range(6)]
     garage.call_forward(0.0)
-    for time_s, job in ((40.0, jobs[0]), (80.0, jobs[1])):
-        garage.car_at_bay(job.number, job.origin, time_s - 10.0)
-        garage.assign(job, 0, time_s, job.origin, int(garage.slots[garage.slot_free][0]))
-        garage.lifted(job, time_s)
+    for time_s, task in ((40.0, tasks[0]), (80.0, tasks[1])):
+        garage.car_at_bay(task.number, task.origin, time_s - 10.0)
+        garage.assign(task, 0, time_s, task.origin, int(garage.slots[garage.slot_free][0]))
+        garage.lifted(task, time_s)
         garage.call_forward(time_s)
     assert len(garage.queue) == 2
     assert garage.queue.expected_s(80.0) == 80.0
@@ -324,9 +324,9 @@ def test_a_car_that_is_not_there_cannot_be_had(car):
     garage.assign(out, 0, 1.0, out.origin)
     garage.lifted(out, 2.0)
     garage.lowered(out, 3.0)
-    job = retrieve(garage, car)
-    assert (job.state, job.reason) == ("void", "car is not in the garage")
-    assert math.isnan(job.done_s)
+    task = retrieve(garage, car)
+    assert (task.state, task.reason) == ("void", "car is not in the garage")
+    assert math.isnan(task.done_s)
     assert garage.open == []
 
 
@@ -342,22 +342,22 @@ def test_a_car_is_fetched_once_however_often_it_is_asked_for(parked):
 
 def test_a_bay_takes_the_next_customer_as_soon_as_its_car_is_lifted():
     garage = empty()
-    jobs = [park(garage, car) for car in "abc"]
+    tasks = [park(garage, car) for car in "abc"]
     assert [command.request for command in garage.call_forward(2.0)] == [0, 1]
-    garage.car_at_bay(0, jobs[0].origin, 1.0)
-    garage.assign(jobs[0], 0, 1.0, jobs[0].origin, GRAPH.slots[0])
+    garage.car_at_bay(0, tasks[0].origin, 1.0)
+    garage.assign(tasks[0], 0, 1.0, tasks[0].origin, GRAPH.slots[0])
     assert garage.call_forward(2.0) == []
-    garage.lifted(jobs[0], 2.0)
-    assert garage.call_forward(2.0) == [CallForward(2, jobs[0].origin)]
+    garage.lifted(tasks[0], 2.0)
+    assert garage.call_forward(2.0) == [CallForward(2, tasks[0].origin)]
 
 
 def test_a_bay_is_kept_until_its_customer_has_driven_off():
     garage = with_cars("a", "b", handover="bay")
     outs = [retrieve(garage, car) for car in "ab"]
-    for job in outs:
-        garage.assign(job, job.number, 1.0, job.origin)
-        garage.lifted(job, 2.0)
-        job.destination = GRAPH.bays[0]
+    for task in outs:
+        garage.assign(task, task.number, 1.0, task.origin)
+        garage.lifted(task, 2.0)
+        task.destination = GRAPH.bays[0]
     garage.lower_starts(outs[0])
     assert not garage.may_lower(outs[1])
     assert garage.lowered(outs[0], 3.0) == [HandOver(outs[0].number, GRAPH.bays[0])]

@@ -47,8 +47,8 @@ def graph(graph: Graph) -> None:
 def books(garage: Garage) -> None:
     garage.bays[vertex]
     garage.bays[agv]  # refused
-    garage.jobs[request]
-    garage.jobs[agv]  # refused
+    garage.tasks[request]
+    garage.tasks[agv]  # refused
     garage.car_left(request, vertex, 0.0)
     garage.car_left(vertex, request, 0.0)  # refused
 

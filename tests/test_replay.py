@@ -139,7 +139,7 @@ def test_parked_cars_stand_in_their_slots(folder: Path) -> None:
             assert np.hypot(x - places[vertex][0], y - places[vertex][1]) < 30, "centimetres from the slot's middle"
 
 
-def test_plans_start_where_the_agv_is_and_end_at_its_job(folder: Path) -> None:
+def test_plans_start_where_the_agv_is_and_end_at_its_task(folder: Path) -> None:
     run = load_run(folder)
     index = {name: v for v, name in enumerate(run.vertices["vertex"])}
     lanes = set(zip(run.edges["tail"], run.edges["head"], strict=True))
@@ -156,7 +156,7 @@ def test_plans_start_where_the_agv_is_and_end_at_its_job(folder: Path) -> None:
     assert {index[slot] for slot in run.tasks["destination"] if slot.startswith("slot")} & ends
 
 
-def test_initial_cars_deadlocks_and_jobs() -> None:
+def test_initial_cars_deadlocks_and_tasks() -> None:
     head, columns = unpack(replay_page(little_run()))
     assert columns["stay_from"][columns["stay_place"].index(0)] == 0
     assert columns["stay_to"][columns["stay_place"].index(0)] == 20_000
@@ -164,7 +164,7 @@ def test_initial_cars_deadlocks_and_jobs() -> None:
     assert (lock["from"], lock["found"], lock["to"], lock["members"]) == (80_000, 100_000, 220_000, [0, 1])
     assert (lock["cause"], lock["tried"]) == ("head on", ["leader: no way"])
     assert (lock["end"], lock["cost_s"]) == ("resolved by pull over, 140 s after the wait began", 140.0)
-    assert (columns["job_lifted"], columns["job_delivered"], columns["done"]) == ([20_000], [250_000], [260_000])
+    assert (columns["task_lifted"], columns["task_delivered"], columns["done"]) == ([20_000], [250_000], [260_000])
     assert columns["plan_path"] == [3, 2, 1, 0, 2, 1, 0]
 
 

@@ -45,9 +45,9 @@ def test_a_run_that_is_not_good_is_seen(soak, wrong):
 
 def test_the_full_form_covers_all_garages_and_makes_enough_steps(soak):
     runs = list(islice(soak.plan_runs(True, 10e6, ["whca", "token"]), 1000))
-    hard = [job for job in runs if job[3]]
+    hard = [run for run in runs if run[3]]
     assert sum(case[1] * case[3] * 120 for case, *_ in hard) >= 10e6
     assert {case[0] for case, *_ in hard} == {"map1", "map2", "map3"}
     assert {case[1] for case, *_ in hard} == {8, 16, 32}
-    calm = [job for job in runs if not job[3]]
+    calm = [run for run in runs if not run[3]]
     assert {(case, seed, planner) for case, seed, planner, _ in calm} <= {(c, s, p) for c, s, p, _ in hard}

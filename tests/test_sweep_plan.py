@@ -20,7 +20,7 @@ def load(tmp_path: Path, text: str) -> tuple[RunSpec, ...]:
 
 
 def test_every_point_of_the_grid_with_every_entry_of_the_list_and_every_seed(tmp_path: Path) -> None:
-    text = "grid: {agvs: [1, 2], control.period_s: [5, 6, 7]}\nlist: [{dispatch: nearest}, {dispatch: nearest-job}]\n"
+    text = "grid: {agvs: [1, 2], control.period_s: [5, 6, 7]}\nlist: [{dispatch: nearest}, {dispatch: nearest-task}]\n"
     specs = load(tmp_path, BASE + text + "seeds: 1..3\n")
     assert len(specs) == 2 * 2 * 3 * 3
     assert {spec.scenario.seed for spec in specs} == {1, 2, 3}

@@ -62,7 +62,7 @@ class Recording {
     this.agvs = head.agvs;
     this.samples = columns.time.length;
     this.planOf = starts(columns.plan_agv, head.agvs);
-    this.jobOf = starts(columns.job_agv, head.agvs);
+    this.taskOf = starts(columns.task_agv, head.agvs);
     this.pathStart = new Int32Array(columns.plan_length.length + 1);
     columns.plan_length.forEach((n, k) => { this.pathStart[k + 1] = this.pathStart[k] + n; });
   }
@@ -93,23 +93,23 @@ class Recording {
     };
   }
 
-  /** The job of an AGV, or -1. */
-  job(agv, time) {
-    const { job_assigned: assigned, job_delivered: delivered } = this.columns;
-    const k = lastAt(assigned, time, this.jobOf[agv], this.jobOf[agv + 1]);
-    return k >= this.jobOf[agv] && time < delivered[k] ? k : -1;
+  /** The task of an AGV, or -1. */
+  task(agv, time) {
+    const { task_assigned: assigned, task_delivered: delivered } = this.columns;
+    const k = lastAt(assigned, time, this.taskOf[agv], this.taskOf[agv + 1]);
+    return k >= this.taskOf[agv] && time < delivered[k] ? k : -1;
   }
 
   /** The car on an AGV, or -1. */
   carried(agv, time) {
-    const job = this.job(agv, time);
-    return job >= 0 && time >= this.columns.job_lifted[job] ? this.columns.job_car[job] : -1;
+    const task = this.task(agv, time);
+    return task >= 0 && time >= this.columns.task_lifted[task] ? this.columns.task_car[task] : -1;
   }
 
-  /** Vertex an AGV with a job drives to, or -1. */
-  goal(job, time) {
-    if (job < 0) return -1;
-    return time < this.columns.job_lifted[job] ? this.columns.job_from[job] : this.columns.job_to[job];
+  /** Vertex an AGV with a task drives to, or -1. */
+  goal(task, time) {
+    if (task < 0) return -1;
+    return time < this.columns.task_lifted[task] ? this.columns.task_from[task] : this.columns.task_to[task];
   }
 
   /** The plan of an AGV: vertices from the last one reached, and how many of them it owns. */

@@ -289,8 +289,8 @@ class Scene {
     recording.eachStay(time, (k) => cars.push(this.stay(k, time)));
     const agvs = Array.from({ length: recording.agvs }, (_, agv) => {
       const pose = recording.pose(agv, time);
-      const job = recording.job(agv, time);
-      return { ...pose, job, car: recording.carried(agv, time), goal: recording.goal(job, time) };
+      const task = recording.task(agv, time);
+      return { ...pose, task, car: recording.carried(agv, time), goal: recording.goal(task, time) };
     });
     return { time, agvs, cars, counts: recording.counts(time), deadlocks: recording.deadlocks(time) };
   }
@@ -436,7 +436,7 @@ class Scene {
     }
   }
 
-  /** The way ahead: granted vertices solid, planned ones dashed; a ring where the job leads. */
+  /** The way ahead: granted vertices solid, planned ones dashed; a ring where the task leads. */
   drawPlan(ctx, view, colors, agv, time, followed) {
     const { path, granted } = this.recording.plan(agv.agv, time);
     const mine = followed?.agv === agv.agv;

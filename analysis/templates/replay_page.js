@@ -401,7 +401,7 @@ class Panel {
     const mode = this.player.head.modes[agv.mode];
     const verb = { "going to collect": "to fetch", "going to park": "parks", "returning with car": "brings" }[mode];
     const c = this.player.recording.columns;
-    return verb && agv.job >= 0 ? `${verb} ${this.carName(c.job_car[agv.job])}` : mode.replace("maintenance", "from charging");
+    return verb && agv.task >= 0 ? `${verb} ${this.carName(c.task_car[agv.task])}` : mode.replace("maintenance", "from charging");
   }
 
   carRows(state) {
@@ -474,9 +474,9 @@ class Panel {
   agvCard(state) {
     const agv = state.agvs[this.player.followed.agv], c = this.player.recording.columns;
     const rows = [["state", this.player.head.modes[agv.mode]]];
-    if (agv.job >= 0) {
-      rows.push(["car", this.carName(c.job_car[agv.job])]);
-      rows.push(["way", `${this.place(c.job_from[agv.job])} → ${this.place(c.job_to[agv.job])}`]);
+    if (agv.task >= 0) {
+      rows.push(["car", this.carName(c.task_car[agv.task])]);
+      rows.push(["way", `${this.place(c.task_from[agv.task])} → ${this.place(c.task_to[agv.task])}`]);
     }
     rows.push(["speed", `${agv.speed.toFixed(1)} m/s`], ["battery", `${agv.soc} %`]);
     const lock = state.deadlocks.find(({ members }) => members.includes(agv.agv));
@@ -489,7 +489,7 @@ class Panel {
     const stay = state.cars.find((other) => other.car === car), agv = state.agvs.find((other) => other.car === car);
     const rows = [["where", agv ? `on AGV ${agv.agv}` : stay ? this.standing(stay) : "not in the garage"]];
     const c = this.player.recording.columns;
-    if (agv) rows.push(["way", `${this.place(c.job_from[agv.job])} → ${this.place(c.job_to[agv.job])}`]);
+    if (agv) rows.push(["way", `${this.place(c.task_from[agv.task])} → ${this.place(c.task_to[agv.task])}`]);
     return [this.carName(car), rows];
   }
 
