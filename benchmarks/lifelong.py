@@ -27,6 +27,7 @@ from rows import give_out
 from controller.costs import Costs
 from controller.deadlock.ladder import LadderLimits
 from controller.executor import Executor
+from controller.flags import flags_of
 from controller.fleet import Agv
 from controller.planners.cbs import CbsLimits
 from controller.planners.table import load_planner
@@ -100,12 +101,12 @@ class Timed:
     @property
     def complete(self) -> bool:
         """As the planner says."""
-        return bool(getattr(self.planner, "complete", False))
+        return flags_of(self.planner).complete
 
     @property
     def improves(self) -> bool:
         """As the planner says."""
-        return bool(getattr(self.planner, "improves", False))
+        return flags_of(self.planner).improves
 
     def prepare(self, graph: Graph, motion: Motion, goals: Sequence[Vertex]) -> None:
         """Find the distances to all goals, as public solvers do before their clock runs."""

@@ -18,6 +18,7 @@ import numpy as np
 from rows import give_out
 
 from controller.conflicts import validate
+from controller.flags import flags_of
 from controller.planners.contract import all_standing
 from controller.planners.table import load_planner
 from controller.search.distances import Distances
@@ -42,7 +43,7 @@ def problem_of(graph: Graph, trips: Sequence[tuple[Vertex, Vertex]]) -> Planning
 def solve(name: str, problem: PlanningProblem) -> dict[str, object]:
     """One row."""
     planner = load_planner(name, problem.graph, problem.motion, OPTIONS.get(name, {}))
-    if getattr(planner, "complete", False):
+    if flags_of(planner).complete:
         problem = all_standing(problem)
     begin = process_time()
     result = planner(problem)

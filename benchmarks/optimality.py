@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from controller.flags import flags_of
 from controller.planners.contract import all_standing, random_problem
 from controller.planners.table import load_planner
 from controller.types import FOREVER, PlanningProblem, Status
@@ -31,7 +32,7 @@ def cost(planner: str, options: dict[str, object], problem: PlanningProblem) -> 
     made = load_planner(planner, problem.graph, problem.motion, options)
     if planner == "pibt":
         return _moves_in_a_row(made, problem)
-    if getattr(made, "complete", False):
+    if flags_of(made).complete:
         problem = all_standing(problem)
     result = made(problem)
     return sum(p.arrive[-1] for p in result.paths.values()) if result.status is Status.SOLVED else None

@@ -1,19 +1,30 @@
 """WHCA*: windowed hierarchical cooperative A* (Silver 2005), one agent after the other over a reservation table.
 
-Agents are planned in order of priority, each with the quickest path inside the window that keeps clear of everything
-reserved before it; the exact distance to the goal judges what lies beyond the window.
+An agent is an AGV as the planner sees it. Time is counted in steps, from the start of the call. A reservation gives a
+vertex to one agent from one step to another; the reservation table holds all of them. The window is the number of steps
+for which paths must be free of conflicts.
 
-A plan is kept from call to call where it still holds: the goal is the same, nothing on the way is blocked, and it keeps
-clear of all that is reserved before it. Once it looks less than half a window ahead a search adds a new end to it.
+Agents are planned in order of priority. Each gets the quickest path inside the window that meets no reservation, and
+this path is then reserved. Beyond the window an agent ignores the others: the distance to its goal on the empty floor
+says how long the rest of the way takes.
 
-Departures from the paper: time is in safe intervals instead of single steps (``search.sipp``). Every agent's start is
-reserved for the time it needs to leave. An agent that finds no path takes back the path of the agent that cut it off
-and goes first, up to ``raises`` times a call; after that it holds its place, whoever planned to pass there plans again,
-and the result is PARTIAL.
-Guarantee: paths, and the places of those that hold, are free of conflicts with each other and with ``fixed`` up to the
-window, unless a fixed path crosses the place of one that can't leave it in time.
-Limits: neither complete nor optimal; agents may give way to each other for ever from window to window, which is for
-deadlock handling to see.
+An agent keeps its path from the last call if the path still holds. A path holds if the goal is the same, no vertex on
+the way is blocked, and the path meets no reservation made before it in this call. If a path that holds ends less than
+half a window ahead, a search adds a new end to it.
+
+Departures from the paper:
+- Time is in safe intervals instead of single steps. A safe interval is a span of steps in which no other agent has
+  reserved the vertex (``search.sipp``).
+- The start of each agent is reserved for the time that the agent needs to leave it.
+- An agent that finds no path is raised: the path of the agent that cuts it off is taken back, and the raised agent is
+  planned first. ``raises`` limits how often this happens in a call. After that, an agent without a path holds: it stays
+  at its vertex for the whole window. All agents with a path through that vertex are planned again. The result is
+  PARTIAL.
+
+Guarantee: up to the window, no path conflicts with another path, with a fixed path or with an agent that holds. There
+is one exception: a fixed path may cross the vertex of an agent that can't leave in time.
+Limits: the planner is neither complete nor optimal. Agents may give way to each other for ever, window after window;
+deadlock handling has to notice that.
 """
 
 from __future__ import annotations
@@ -40,8 +51,9 @@ class WhcaOptions:
     """Options of WHCA*.
 
     Attributes:
-        raises: how often per call an agent without a path may go before the one that cut it off.
-        slack_moves: a distance is searched for only where that may save more than so many moves; see ``search.sipp``.
+        raises: how often in one call an agent without a path may be planned before the agent that cuts it off.
+        slack_moves: an exact distance is searched for only where it may save more than this many moves; see
+            ``search.sipp``.
     """
 
     raises: int = 10
@@ -52,8 +64,8 @@ class Whca:
     """The planner, with the search memory it keeps between calls.
 
     Attributes:
-        window: its range. Paths that look far ahead cost it no more, as it keeps them.
-        keeps: it wants to know what the agents carry out, ``PlanningProblem.carried``.
+        window: the range of the window, in moves. Long windows cost little here, because paths are kept.
+        keeps: True: the planner is given the paths that the agents carry out, in ``PlanningProblem.carried``.
         distances: exact distances, also of use for dispatch.
         table: the reservations of the last call.
     """
@@ -72,8 +84,8 @@ class Whca:
         """Plan for all agents of a problem.
 
         Returns:
-            SOLVED with a path for each agent, or PARTIAL with the agents that hold their place and who is in their
-            way. Counters are those of this call, distance searches included.
+            SOLVED with a path for each agent, or PARTIAL. ``failed`` then maps each agent that holds to the agent in
+            its way, -1 if there is none. Counters are those of this call, distance searches included.
         """
         self.distances.counters[:] = 0
         self._search.begin(problem)
@@ -85,7 +97,7 @@ class Whca:
         return PlanResult(round_.status, round_.paths, round_.failed, counters)
 
     def _keep(self, problem: PlanningProblem) -> Callable[[PlanAgent], Path | None]:
-        """What gives an agent's present path if its goal is the same and nothing on the way is blocked."""
+        """A function from an agent to the path that it can keep, or to None if it has to be planned anew."""
         carried = {path.agv: path for path in problem.carried}
 
         def keep(agent: PlanAgent) -> Path | None:
@@ -99,13 +111,15 @@ class Whca:
         return keep
 
     def _as_reserved(self, path: Path, agent: PlanAgent, problem: PlanningProblem) -> Path | None:
-        """A path if nothing reserved is in its way, with a new end if it looks less than half a window ahead."""
+        """The path if it meets no reservation, with a new end if it ends less than half a window ahead; else None."""
         window, ahead, there = problem.window_steps, path.arrive[-1], path.vertices[-1] == agent.goal
+        # Long enough: the agent stays at the path's last vertex until the window ends, and at its goal for its work.
         if there or 2 * ahead >= window:
             path = replace(path, until=max(window, (ahead or agent.ready_step) + agent.dwell_steps * there))
             return path if self.table.admits(path) else None
         if not ahead or not self.table.admits(replace(path, until=ahead + 1)):
             return None
+        # Too short: search on from the last vertex, as if the agent stood there when the path ends.
         edge = problem.graph.edge_index[path.vertices[-2], path.vertices[-1]]
         then = replace(agent, vertex=path.vertices[-1], in_edge=edge, ready_step=ahead, turned_to=NO_VERTEX)
         end = self._search.find_path(problem, then, self.table, since=ahead)
@@ -113,16 +127,16 @@ class Whca:
 
 
 class SingleAgentSearch(Protocol):
-    """What finds one agent's path: ``PathSearch`` anywhere on the floor, or a planner's own along a fixed route."""
+    """A search for the path of one agent: ``PathSearch`` on the whole floor, or a planner's own along a fixed route."""
 
     blocker: AgvNumber
 
     def find_path(self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable) -> Path | None:
-        """A path that keeps clear of the table, or None; then ``blocker`` is who is in the way, or -1."""
+        """A path that meets no reservation, or None. After None, ``blocker`` is the agent in the way, or -1."""
 
 
 class Round:
-    """One planning call, agent after agent: who has a path, who holds, who is still to be planned.
+    """One planning call, agent after agent. Each agent has a path, holds, or is still in the queue.
 
     Args:
         problem: what to plan.
@@ -159,12 +173,15 @@ class Round:
         return Status.PARTIAL if self.failed else Status.SOLVED
 
     def run(self) -> None:
-        """Plan until each agent has a path or holds. Ends: raises are bounded, and a holder never moves again."""
+        """Plan until each agent has a path or holds.
+
+        This ends: the number of raises is limited, and an agent that holds is not planned again.
+        """
         for agent in self.queue:
             self._reserve_start(agent)
         while self.queue:
             agent = self.queue.popleft()
-            self.table.remove(agent.agv)
+            self.table.remove(agent.agv)  # its own start must not be in its way
             path = self.keep(agent) or self.search.find_path(self.problem, agent, self.table)
             if path is not None:
                 self.paths[agent.agv] = path
@@ -174,13 +191,14 @@ class Round:
             if self.raises > 0 and blocker in self.paths:
                 self.raises -= 1
                 self._reserve_start(agent)
+                # The agent goes to the front of the queue last, so that it is planned before its blocker.
                 self._take_back(blocker)
                 self.queue.appendleft(agent)
             else:
                 self._hold(agent, blocker)
 
     def _reserve_start(self, agent: PlanAgent) -> None:
-        """Reserve an agent's start for the time it needs to leave it."""
+        """Reserve an agent's start until the agent can have left it: turned, and driven its quickest edge."""
         graph, motion = self.problem.graph, self.problem.motion
         leaving = [
             motion.turn(graph, agent.in_edge, e, agent.loaded) + int(motion.edge_steps[int(agent.loaded), e])
@@ -189,14 +207,14 @@ class Round:
         self.table.hold(agent.vertex, 0, agent.ready_step + min(leaving, default=1), agent.agv)
 
     def _take_back(self, agv: AgvNumber) -> None:
-        """Take back an agent's path; it is planned again, before those that have not been planned yet."""
+        """Take back an agent's path, and put the agent at the front of the queue."""
         del self.paths[agv]
         self.table.remove(agv)
         self._reserve_start(self.agents[agv])
         self.queue.appendleft(self.agents[agv])
 
     def _hold(self, agent: PlanAgent, blocker: AgvNumber) -> None:
-        """Let an agent keep its place for the whole window, and plan again for all that meant to pass there."""
+        """Let an agent hold: it keeps its vertex for the whole window, and paths through that vertex are taken back."""
         for agv in {owner for _, _, owner in self.table.intervals(agent.vertex)} & self.paths.keys():
             self._take_back(agv)
         self.table.hold(agent.vertex, 0, self.problem.window_steps, agent.agv)
@@ -204,7 +222,7 @@ class Round:
 
 
 def _joined(path: Path, end: Path) -> Path:
-    """A path that goes on with another one where it ends."""
+    """A path followed by another one, which starts at the vertex where the first one ends."""
     return Path(
         path.agv,
         path.vertices + end.vertices[1:],
