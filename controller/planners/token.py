@@ -1,18 +1,24 @@
 """Token passing with rest at the end (Ma, Li, Kumar and Koenig 2017), over safe intervals.
 
-Every agent always has a complete path to a place where it may rest for ever. An agent with a new goal gets the quickest
-path that keeps clear of all other paths, rests included; if there is none yet it keeps the path it has and is asked
-again. Agents that fail are tried once more after the others, since a new path of another agent may have made room; but
-whom others cut off by resting in the way is not tried before one of them rests elsewhere. After that the plan of all
-can be improved, see ``lns``.
+An agent is an AGV as the planner sees it. An agent rests at the vertex where its path ends: it may stay there for ever.
+The token is the set of all agents' paths, rests included; here it is a reservation table, which gives each vertex to at
+most one agent at a time.
 
-Guarantee: in a well-formed garage (slots, bays, homes and chargers are end points, and between any two of them there
-is a way that passes no other) no deadlock can arise, since every accepted set of paths can be carried out to its end.
-Limits: not optimal; an agent's path never makes another one give way.
+Every agent always has a complete path to a vertex where it may rest. An agent with a new goal gets the quickest path
+that conflicts with no path in the table, and this path replaces its old one. If there is no such path yet, the agent
+fails: it keeps its old path and is asked for again in a later call. Agents that fail are tried once more after the
+others, since another agent's new path may have made room. An agent cut off by resting agents is not retried until one
+of these rests elsewhere. At the end of the call the paths of all agents can be improved, see ``lns``.
 
-Departures from the paper: AGVs have priorities and are planned in that order. Only in small fleets paths lead through
-slots that are empty. That saves a few turns, but distances change with every car that is parked, so that searches grow
-with the garage, and cars parked in the way soon leave little of it.
+Guarantee: no deadlock can arise in a well-formed garage, since every accepted set of paths can be carried out to its
+end. A garage is well-formed if from every end point (slot, bay, home or charger) there is a way to every other one that
+passes no third.
+Limits: not optimal; an agent's new path never makes another agent give way.
+
+Departures from the paper:
+- AGVs have priorities, and are planned in that order.
+- Only in small fleets may paths lead through empty slots. Such paths save a few turns. But then each parked car changes
+  the distances, so that searches grow with the garage; and parked cars soon close most of these paths.
 """
 
 from __future__ import annotations
@@ -39,11 +45,13 @@ class TokenOptions:
 
     Attributes:
         passes: how often agents without a path are tried in one call.
-        improvements: neighbourhoods of late agents planned again in one call, at most; see ``lns``.
-        late_moves: who waits on its way for longer than so many moves take is late.
-        detours: who goes a long way round because of others is late, too: better plans for more search.
-        through_slots_agvs: in fleets of up to so many AGVs paths may lead through slots that nobody rests in, has
-            parked in or heads for.
+        improvements: how many groups of agents around a late one are planned again in one call, at most; see ``lns``.
+        late_moves: an agent is late if it waits on its way for longer than this many moves take.
+        detours: also treat agents on long detours as late. Plans are better, and searches take longer.
+        slack_moves: an exact distance is searched for only where it may save more than this many moves; see
+            ``search.sipp``.
+        through_slots_agvs: in fleets of up to this many AGVs paths may lead through a slot, unless it holds a car
+            or an agent rests in it or heads for it.
     """
 
     passes: int = field(default=2, metadata={"least": 1})
@@ -59,9 +67,9 @@ class _Cut:
     """Why an agent found no path.
 
     Attributes:
-        vertex, goal: from where to where.
-        blocker: who was in the way.
-        around: while all these vertices are closed there is no way; empty if it is not that.
+        vertex, goal: where the path should have begun and ended.
+        blocker: the agent in the way, -1 if unknown.
+        around: there is no way while all these vertices are closed. Empty if closed vertices were not the reason.
     """
 
     vertex: Vertex
@@ -70,7 +78,7 @@ class _Cut:
     around: IntArray
 
     def holds(self, agent: PlanAgent, closed: NDArray[np.uint8]) -> bool:
-        """Another search would be in vain."""
+        """Whether another search would fail for the same reason."""
         same = (self.vertex, self.goal) == (agent.vertex, agent.goal)
         return same and len(self.around) > 0 and bool(closed[self.around].all())
 
@@ -79,10 +87,10 @@ class Token:
     """The planner, with the search memory it keeps between calls.
 
     Attributes:
-        complete: it plans complete paths; only agents whose goal is new have to be given, and ``fixed`` may hold the
-            path that such an agent carries out so far.
-        rests: every agent always has a path to where it can rest for ever.
-        improves: it wants to know the agents that have a path, ``PlanningProblem.carrying``.
+        complete: True: paths lead to the goal. Only agents without a path to their goal are given; ``fixed`` holds the
+            present path of every agent.
+        rests: True: every agent always has a path to a vertex where it can rest for ever.
+        improves: whether the planner is also given the agents that have a path, in ``PlanningProblem.carrying``.
     """
 
     complete = True
@@ -104,14 +112,15 @@ class Token:
 
     @property
     def distances(self) -> Distances:
-        """The distances that the last call went by."""
+        """The distances that the last call used."""
         return self._search.distances
 
     def __call__(self, problem: PlanningProblem) -> PlanResult:
         """Plan for the agents of a problem.
 
         Returns:
-            SOLVED with a path for each agent; PARTIAL when some of them keep what they have, with who is in their way.
+            SOLVED with a path for each agent; PARTIAL when some agents fail. ``failed`` maps
+            each of them to the agent in its way.
         """
         if _fleet(problem) <= self.options.through_slots_agvs:
             self._search = self._through_slots
@@ -121,6 +130,7 @@ class Token:
         self._search.distances.counters[:] = 0
         self._search.begin(problem)
         self.table.reset(problem.fixed)
+        # Each pass tries the agents that failed in the pass before.
         waiting = sorted(problem.agents, key=lambda agent: (-agent.priority, agent.agv))
         planned: dict[AgvNumber, PlanAgent] = {}
         failed: dict[AgvNumber, AgvNumber] = {}
@@ -141,10 +151,10 @@ class Token:
         return PlanResult(Status.PARTIAL if failed else Status.SOLVED, paths, failed, counters)
 
     def _plan(self, agent: PlanAgent, problem: PlanningProblem) -> AgvNumber | None:
-        """Reserve a new path instead of the one carried out so far; if there is none, that one stays.
+        """Replace an agent's path by a new one to its goal; if there is none, the old path stays.
 
         Returns:
-            None, or who is in the way.
+            None if the agent has a new path, else the agent in the way (-1 if unknown).
         """
         cut = self._cuts.get(agent.agv)
         if cut is not None and cut.holds(agent, self._closed_for(agent, problem)):
@@ -157,7 +167,7 @@ class Token:
         return self._search.blocker
 
     def _closed_for(self, agent: PlanAgent, problem: PlanningProblem) -> NDArray[np.uint8]:
-        """Vertices that an agent can never drive through, shape (n,): where others rest, and what is blocked."""
+        """Vertices that an agent can never drive through, shape (n,): where others rest, and blocked ones."""
         closed = problem.blocked.copy()
         closed[agent.goal] = 0
         closed[self.table.rests(but=agent.agv)] = 1
@@ -169,7 +179,7 @@ class Token:
         return _Cut(agent.vertex, agent.goal, self._search.blocker, around)
 
     def _improve(self, problem: PlanningProblem, planned: dict[AgvNumber, PlanAgent]) -> set[AgvNumber]:
-        """Improve the plan of all that have a path to their goal; those whose path has changed."""
+        """Improve the paths of all agents that have one to their goal; returns the agents whose path has changed."""
         ends = {path.agv: path.vertices[-1] for path in problem.fixed}
         agents = {a.agv: a for a in problem.carrying if ends.get(a.agv) == a.goal} | planned
         self._looked.update({agent.agv: 0 for agent in problem.agents})
@@ -180,7 +190,7 @@ class Token:
 
 
 def _fleet(problem: PlanningProblem) -> int:
-    """Number of AGVs: each has a path to a place where it rests, or is to be planned."""
+    """Number of AGVs: those with a path to a vertex where they rest, and those to be planned."""
     resting = {path.agv for path in problem.fixed if path.until >= FOREVER}
     return len(resting | {agent.agv for agent in problem.agents})
 

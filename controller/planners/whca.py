@@ -85,7 +85,7 @@ class Whca:
 
         Returns:
             SOLVED with a path for each agent, or PARTIAL. ``failed`` then maps each agent that holds to the agent in
-            its way, -1 if there is none. Counters are those of this call, distance searches included.
+            its way, -1 if unknown. Counters are those of this call, distance searches included.
         """
         self.distances.counters[:] = 0
         self._search.begin(problem)
@@ -132,7 +132,7 @@ class SingleAgentSearch(Protocol):
     blocker: AgvNumber
 
     def find_path(self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable) -> Path | None:
-        """A path that meets no reservation, or None. After None, ``blocker`` is the agent in the way, or -1."""
+        """A path that meets no reservation, or None; then ``blocker`` is the agent in the way, -1 if unknown."""
 
 
 class Round:
