@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from parking_sim.config import Scenario as Scenario
     from parking_sim.config import load_scenario as load_scenario
     from parking_sim.errors import RunFailedError as RunFailedError
+    from parking_sim.library import build as build
     from parking_sim.library import compare as compare
     from parking_sim.library import size as size
     from parking_sim.library import sweep as sweep
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from parking_sim.simulation import simulate as simulate
     from parking_sim.stepwise import Simulation as Simulation
     from sumo_nets.errors import InputError as InputError
+    from sumo_nets.layout import Layout as Layout
     from sumo_nets.read import read_net as read_net
 
     __version__: str
@@ -50,6 +52,7 @@ if TYPE_CHECKING:
 #: Public name -> the module that defines it.
 _PLACES = {
     "InputError": "sumo_nets.errors",
+    "Layout": "sumo_nets.layout",
     "Path": "controller.types",
     "PlanAgent": "controller.types",
     "PlanResult": "controller.types",
@@ -63,6 +66,7 @@ _PLACES = {
     "Simulation": "parking_sim.stepwise",
     "Status": "controller.types",
     "Summary": "parking_sim.simulation",
+    "build": "parking_sim.library",
     "compare": "parking_sim.library",
     "load_run": "analysis.tables",
     "load_runs": "analysis.runs",
@@ -74,9 +78,9 @@ _PLACES = {
 }
 
 __all__ = [
-    "InputError", "Path", "PlanAgent", "PlanResult", "Planner", "PlanningProblem", "Progress", "Run", "RunFailedError",
-    "Runs", "Scenario", "Simulation", "Status", "Summary", "__version__", "compare", "load_run", "load_runs",
-    "load_scenario", "read_net", "simulate", "size", "sweep",
+    "InputError", "Layout", "Path", "PlanAgent", "PlanResult", "Planner", "PlanningProblem", "Progress", "Run",
+    "RunFailedError", "Runs", "Scenario", "Simulation", "Status", "Summary", "__version__", "build", "compare",
+    "load_run", "load_runs", "load_scenario", "read_net", "simulate", "size", "sweep",
 ]  # fmt: skip
 
 if not TYPE_CHECKING:  # a name that is not there is an error to mypy as well

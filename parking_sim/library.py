@@ -1,4 +1,4 @@
-"""Many runs from Python: a sweep, a comparison of two variants, the smallest fleet for a target.
+"""From Python: a net from a layout, a sweep, a comparison of two variants, the smallest fleet for a target.
 
 A script that calls :func:`sweep` or :func:`size` starts processes that import it anew, so that the calls belong below
 ``if __name__ == "__main__":``.
@@ -22,6 +22,8 @@ from parking_sim.many_runs import sweep as run_sweep
 from parking_sim.shadowing import require_own_packages
 from parking_sim.sizing import LOOKS, Sizing, parse_target, size_garage
 from parking_sim.sweep_plan import RunSpec, load_sweep, make_runs
+from sumo_nets.build import build_net
+from sumo_nets.layout import Layout
 from sumo_nets.read import read_net
 from sumo_nets.wording import one_of
 
@@ -29,6 +31,35 @@ if TYPE_CHECKING:
     from sumo_nets.read import GarageNet
 
 Progress = Callable[[SweepProgress], None]
+
+
+def build(layout: Layout, folder: Path | str) -> Path:
+    """Build the SUMO net of a layout; files of the same name are replaced.
+
+    Args:
+        layout: the garage.
+        folder: where the net goes, made if need be.
+
+    Returns:
+        The net file, which a scenario takes as its garage.
+
+    Raises:
+        InputError: the layout's parts do not fit together, or netconvert refused them.
+        OSError: the folder can't be written.
+
+    Example:
+        >>> import tempfile
+        >>> import parking_sim as ps
+        >>> layout = ps.Layout.model_validate({
+        ...     "name": "row", "pitch_m": 7.0, "handover": "home",
+        ...     "aisles": [{"from": [0, 0], "to": [6, 0], "way": "two"}],
+        ...     "slots": [{"from": [1, 0], "to": [5, 0], "side": "north"}], "homes": [{"at": [0, 0], "side": "south"}],
+        ... })
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     ps.build(layout, folder).name
+        'row.net.xml.gz'
+    """
+    return build_net(layout, folder)[0]
 
 
 def sweep(

@@ -90,9 +90,11 @@ class Aisle(_Part):
         way: ``one``: driven from ``from`` to ``to`` only; ``two``: a single-width lane for both directions.
     """
 
-    start: Cell = Field(alias="from")
-    to: Cell
-    way: Literal["one", "two"]
+    start: Cell = Field(alias="from", description="First cell, [x, y].")
+    to: Cell = Field(description="Last cell, in the same row or column.")
+    way: Literal["one", "two"] = Field(
+        description="one: driven from `from` to `to` only; two: a single lane for both directions."
+    )
 
     @model_validator(mode="after")
     def _straight(self) -> Aisle:
@@ -112,11 +114,13 @@ class Spurs(_Part):
         per_cell: 1 for a straight spur, 2 for two side by side.
     """
 
-    at: Cell | None = None
-    start: Cell | None = Field(default=None, alias="from")
-    to: Cell | None = None
-    side: tuple[Side, ...]
-    per_cell: Annotated[int, Strict(), Field(ge=1, le=2)] = 1
+    at: Cell | None = Field(default=None, description="The aisle cell, [x, y]; or a run of cells with `from` and `to`.")
+    start: Cell | None = Field(default=None, alias="from", description="First aisle cell of a run.")
+    to: Cell | None = Field(default=None, description="Last aisle cell of a run.")
+    side: tuple[Side, ...] = Field(description="Side or sides of the aisle; here: the aisle cell itself.")
+    per_cell: Annotated[int, Strict(), Field(ge=1, le=2)] = Field(
+        default=1, description="1: a straight spur; 2: two side by side."
+    )
 
     @field_validator("side", mode="before")
     @classmethod
@@ -153,11 +157,11 @@ class StreetPlan(_Part):
         exit_m: length of street after the bays.
     """
 
-    start: Cell = Field(alias="from")
-    to: Cell
-    entry_m: Metres = 150.0
-    queue_m: Metres = 70.0
-    exit_m: Metres = 80.0
+    start: Cell = Field(alias="from", description="First cell of the part along the bays.")
+    to: Cell = Field(description="Last cell of that part; bays lie on the right of the street.")
+    entry_m: Metres = Field(default=150.0, description="Length of public street before the hold lane, m.")
+    queue_m: Metres = Field(default=70.0, description="Length of the hold lane, m.")
+    exit_m: Metres = Field(default=80.0, description="Length of street after the bays, m.")
 
     @model_validator(mode="after")
     def _straight(self) -> StreetPlan:
@@ -168,19 +172,34 @@ class StreetPlan(_Part):
 
 
 class Layout(_Part):
-    """A whole garage, as written in the file; the module's text explains every key."""
+    """A whole garage, as written in the file; the module's text explains every key.
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=60)]
-    pitch_m: Annotated[float, Field(ge=6.0, le=20.0, allow_inf_nan=False)]
-    handover: Literal["bay", "home"]
-    picture: str = ""
-    aisles: tuple[Aisle, ...] = ()
-    slots: tuple[Spurs, ...] = ()
-    bays: tuple[Spurs, ...] = ()
-    homes: tuple[Spurs, ...]
-    chargers: tuple[Spurs, ...] = ()
-    refuges: tuple[Spurs, ...] = ()
-    street: StreetPlan | None = None
+    Example:
+        >>> import parking_sim as ps
+        >>> row = {"from": [0, 0], "to": [6, 0]}
+        >>> layout = ps.Layout.model_validate({
+        ...     "name": "row", "pitch_m": 7.0, "handover": "home", "aisles": [{**row, "way": "two"}],
+        ...     "slots": [{"from": [1, 0], "to": [5, 0], "side": "north"}], "homes": [{"at": [0, 0], "side": "south"}],
+        ... })
+        >>> layout.changed(slots=[{"from": [1, 0], "to": [5, 0], "side": ["north", "south"]}])
+        <Layout row: 1 aisle, 10 slots, 1 home, pitch 7 m>
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=60)] = Field(
+        description="Name of the net: a letter, then letters, digits and _."
+    )
+    pitch_m: Annotated[float, Field(ge=6.0, le=20.0, allow_inf_nan=False)] = Field(description="Length of one cell, m.")
+    handover: Literal["bay", "home"] = Field(
+        description="Where customers hand over: bay: at bays along a street; home: where the AGVs live."
+    )
+    picture: str = Field(default="", description="An open floor: # wall, . floor, S slot, one character a cell.")
+    aisles: tuple[Aisle, ...] = Field(default=(), description="Runs of cells with one lane.")
+    slots: tuple[Spurs, ...] = Field(default=(), description="Places for parked cars.")
+    bays: tuple[Spurs, ...] = Field(default=(), description="Places where customers hand over their cars.")
+    homes: tuple[Spurs, ...] = Field(description="Places where AGVs wait, in the order in which they are used.")
+    chargers: tuple[Spurs, ...] = Field(default=(), description="Places where AGVs charge.")
+    refuges: tuple[Spurs, ...] = Field(default=(), description="Spurs to give way in.")
+    street: StreetPlan | None = Field(default=None, description="The public street along the bays.")
 
     @field_validator("picture")
     @classmethod
@@ -203,6 +222,31 @@ class Layout(_Part):
             raise ValueError("handover: 'home' takes neither bays nor a street; with them write handover: bay")
         return self
 
+    def __repr__(self) -> str:
+        """Name, parts and pitch in one line."""
+        parts = [_counted(len(self.aisles), "aisle")] if self.aisles else []
+        for role in FIELD_OF_ROLE:
+            number = sum(len(row.side) * row.per_cell for row in self.spurs(role) for _ in row.cells())
+            number += sum(slot for _, slot in self.floor()) if role == "slot" else 0
+            parts += [_counted(number, role)] if number else []
+        return f"<Layout {self.name}: {', '.join(parts)}, pitch {self.pitch_m:g} m>"
+
+    __str__ = __repr__
+
+    def changed(self, **changes: Any) -> Layout:
+        """A copy with other values, checked as a whole.
+
+        Args:
+            changes: key of the layout -> its new value, as in a layout file.
+
+        Returns:
+            The new layout; this one stays as it is.
+
+        Raises:
+            LayoutError: the parts do not fit together.
+        """
+        return _checked({**self.model_dump(by_alias=True, exclude_defaults=True), **changes}, self.name)
+
     def spurs(self, role: Role) -> tuple[Spurs, ...]:
         """The rows of one role."""
         rows: tuple[Spurs, ...] = getattr(self, FIELD_OF_ROLE[role])
@@ -214,6 +258,10 @@ class Layout(_Part):
             for x, char in enumerate(row):
                 if char != "#":
                     yield (x, y), char == "S"
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def run_cells(start: tuple[int, int], to: tuple[int, int]) -> Iterator[tuple[int, int]]:

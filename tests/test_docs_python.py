@@ -14,7 +14,7 @@ ROOT = Path(__file__).parent.parent
 def test_the_blocks_run_in_their_order(tmp_path: Path) -> None:
     page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
     told = []
     for number, block in enumerate(blocks):
@@ -29,4 +29,5 @@ def test_the_blocks_run_in_their_order(tmp_path: Path) -> None:
     assert "speed_mps" in told[1]
     assert "<svg" in (tmp_path / "parked.svg").read_text(encoding="utf-8")
     assert "<State at 60 s: 4 AGVs" in told[3]
-    assert "<Sizing: 1 AGV for 'turned away < 1 %', 3 runs>" in told[4]
+    assert "<Layout row: 1 aisle, 14 slots, 1 home, pitch 7 m>" in told[4]
+    assert "<Sizing: 1 AGV for 'turned away < 1 %', 3 runs>" in told[5]

@@ -40,3 +40,7 @@ def test_every_column_command_and_public_name(pages: dict[str, str]) -> None:
     assert all(f"## parking-sim {command}\n" in pages["commands"] for command in typer.main.get_command(app).commands)  # type: ignore[attr-defined]
     assert "## parking-sim reproduce thesis\n" in pages["commands"]
     assert pages["library"].count(":::") == len(parking_sim.__all__) - 1  # the version has no page
+
+
+def test_every_key_of_a_layout_has_a_meaning(pages: dict[str, str]) -> None:
+    assert [line for line in pages["layout"].splitlines() if line.startswith("| `") and line.endswith("|  |")] == []
