@@ -15,7 +15,7 @@ from controller.conflicts import find_conflicts
 from controller.fleet import StuckBoost
 from controller.planners.lacam import LacamOptions, make_lacam
 from controller.planners.whca import make_whca
-from controller.types import FOREVER, Path, PlanResult, Status
+from controller.types import FOREVER, AgvMode, Path, PlanResult, Status
 
 TWO_RINGS = drawn("""
 A>B
@@ -126,6 +126,24 @@ def test_what_has_no_solution_is_said_to_have_none_and_is_not_tried_again_where_
     assert failed.count(("lacam", "no solution")) == 1
     assert failed[-1] == ("lacam", "no solution")
     assert yard.planning.resolving
+
+
+def test_agvs_that_cannot_pass_each_other_on_their_way_home_exchange_homes():
+    yard = Yard(CORRIDOR, "BE CA")
+    for agv in yard.agvs:
+        agv.mode, agv.home = AgvMode.RETURNING_HOME_EMPTY, agv.goal
+    yard.ends = [(start, goal) for (start, _), (_, goal) in zip(yard.ends, reversed(yard.ends), strict=True)]
+    assert yard.run(30)
+    assert yard.stages == ["homes"]
+    assert [d["homes"] for d in yard.of_kind("homes_exchanged")] == [{0: "A", 1: "E"}]
+    assert [agv.home for agv in yard.agvs] == [goal for _, goal in yard.ends]
+
+
+def test_an_agv_with_a_task_keeps_its_home():
+    yard = Yard(CORRIDOR, "BE CA")
+    yard.agvs[0].mode, yard.agvs[0].home = AgvMode.RETURNING_HOME_EMPTY, yard.agvs[0].goal
+    assert not yard.run(60)
+    assert yard.of_kind("homes_exchanged") == []
 
 
 @settings(max_examples=40, deadline=None)
