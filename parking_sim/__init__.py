@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from parking_sim.stepwise import Simulation as Simulation
     from sumo_nets.errors import InputError as InputError
     from sumo_nets.layout import Layout as Layout
+    from sumo_nets.layout import load_layout as load_layout
     from sumo_nets.read import read_net as read_net
 
     __version__: str
@@ -68,6 +69,7 @@ _PLACES = {
     "Summary": "parking_sim.simulation",
     "build": "parking_sim.library",
     "compare": "parking_sim.library",
+    "load_layout": "sumo_nets.layout",
     "load_run": "analysis.tables",
     "load_runs": "analysis.runs",
     "load_scenario": "parking_sim.config",
@@ -80,7 +82,7 @@ _PLACES = {
 __all__ = [
     "InputError", "Layout", "Path", "PlanAgent", "PlanResult", "Planner", "PlanningProblem", "Progress", "Run",
     "RunFailedError", "Runs", "Scenario", "Simulation", "Status", "Summary", "__version__", "build", "compare",
-    "load_run", "load_runs", "load_scenario", "read_net", "simulate", "size", "sweep",
+    "load_layout", "load_run", "load_runs", "load_scenario", "read_net", "simulate", "size", "sweep",
 ]  # fmt: skip
 
 if not TYPE_CHECKING:  # a name that is not there is an error to mypy as well

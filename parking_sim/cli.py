@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from parking_sim import gate_logs, planner_check, routes, studies
+from parking_sim.command_groups import Grouped
 from parking_sim.errors import InputError, RunFailedError
 from parking_sim.folders import check_folder
 from parking_sim.reproduce import app as reproduce_app
@@ -38,6 +39,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
+    cls=Grouped,
+    epilog="Help on one command, with an example: parking-sim COMMAND --help",
 )
 app.add_typer(reproduce_app, name="reproduce")
 
@@ -375,6 +378,17 @@ def columns() -> None:
     for table, entries in {**COLUMNS, "metrics": METRICS, "runs": run_columns()}.items():
         for name, (unit, meaning) in entries.items():
             print(table, name, unit, meaning, sep="\t")
+
+
+@app.command()
+def examples(
+    out: Annotated[Path | None, typer.Option(help="Folder to copy them to; default: only say where they are.")] = None,
+) -> None:
+    """List the example files that come with the program, or copy them: scenarios, a layout, a sweep and planners."""
+    from parking_sim.example_files import copy_examples, example_files
+
+    for path in example_files() if out is None else copy_examples(out):
+        print(path)
 
 
 @app.command()

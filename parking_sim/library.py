@@ -50,7 +50,7 @@ def build(layout: Layout, folder: Path | str) -> Path:
     Example:
         >>> import tempfile
         >>> import parking_sim as ps
-        >>> layout = ps.Layout.model_validate({
+        >>> layout = ps.load_layout({
         ...     "name": "row", "pitch_m": 7.0, "handover": "home",
         ...     "aisles": [{"from": [0, 0], "to": [6, 0], "way": "two"}],
         ...     "slots": [{"from": [1, 0], "to": [5, 0], "side": "north"}], "homes": [{"at": [0, 0], "side": "south"}],

@@ -38,7 +38,7 @@ the first character is cell ``[0, 0]``; cells side by side are connected::
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -177,7 +177,7 @@ class Layout(_Part):
     Example:
         >>> import parking_sim as ps
         >>> row = {"from": [0, 0], "to": [6, 0]}
-        >>> layout = ps.Layout.model_validate({
+        >>> layout = ps.load_layout({
         ...     "name": "row", "pitch_m": 7.0, "handover": "home", "aisles": [{**row, "way": "two"}],
         ...     "slots": [{"from": [1, 0], "to": [5, 0], "side": "north"}], "homes": [{"at": [0, 0], "side": "south"}],
         ... })
@@ -295,25 +295,37 @@ def parse_layout(text: str, source: str = "layout") -> Layout:
         raise LayoutError(f"{source}: {err}") from None
 
 
-def load_layout(path: str | Path) -> Layout:
-    """Read a layout file.
+def load_layout(source: str | Path | Mapping[str, object]) -> Layout:
+    """Read a layout from a file, or from a mapping with the keys of such a file.
 
     Args:
-        path: a YAML file.
+        source: a YAML file, or the mapping.
 
     Returns:
         The layout.
 
     Raises:
-        LayoutError: the file can't be read or is not a valid layout; one line.
+        LayoutError: the file can't be read, or a key or value is not valid; one line.
+
+    Example:
+        >>> import parking_sim as ps
+        >>> ps.load_layout({
+        ...     "name": "row", "pitch_m": 7.0, "handover": "home",
+        ...     "aisles": [{"from": [0, 0], "to": [6, 0], "way": "two"}],
+        ...     "slots": [{"from": [1, 0], "to": [5, 0], "side": "north"}], "homes": [{"at": [0, 0], "side": "south"}],
+        ... })
+        <Layout row: 1 aisle, 5 slots, 1 home, pitch 7 m>
     """
+    if isinstance(source, Mapping):
+        return _checked(source, str(source.get("name", "layout")))
+    path = source
     try:
         return _checked(read_mapping(Path(path), _SUCH_AS), str(path))
     except YamlError as err:
         raise LayoutError(f"{path}: {err}") from None
 
 
-def _checked(data: dict[str, Any], source: str) -> Layout:
+def _checked(data: Mapping[str, object], source: str) -> Layout:
     try:
         return Layout.model_validate(data)
     except ValidationError as err:

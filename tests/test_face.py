@@ -36,6 +36,12 @@ def stay(problem: ps.PlanningProblem) -> ps.PlanResult:
     return ps.PlanResult(ps.Status.PARTIAL, {})
 
 
+layout: ps.Layout = ps.load_layout({
+    "name": "row", "pitch_m": 7.0, "handover": "home",
+    "aisles": [{"from": [0, 0], "to": [6, 0], "way": "two"}],
+    "slots": [{"from": [1, 0], "to": [5, 0], "side": "north"}], "homes": [{"at": [0, 0], "side": "south"}],
+})
+print(ps.build(layout.changed(pitch_m=8.0), "nets").name)
 scenario: ps.Scenario = ps.load_scenario("map1", {"plant": "discrete", "duration_s": 300.0})
 planner: ps.Planner = stay
 summary: ps.Summary = ps.simulate(scenario, "runs/first", progress=tell)

@@ -7,7 +7,11 @@ from typing import Annotated
 
 import typer
 
-app = typer.Typer(help="Print a paper's figures beside ours, and whether its claims hold.", rich_markup_mode=None)
+from parking_sim.command_groups import Papers
+
+app = typer.Typer(
+    help="Print a paper's figures beside ours, and whether its claims hold.", rich_markup_mode=None, cls=Papers
+)
 
 Full = Annotated[bool, typer.Option("--full", help="As many runs as the paper; else a quick form.")]
 Out = Annotated[Path | None, typer.Option(help="Folder for tables and figures; default: one in runs/reproduce.")]

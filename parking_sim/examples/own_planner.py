@@ -4,26 +4,29 @@ from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
 from controller.search.space import Space
-from controller.types import PlanResult, Status
+from controller.types import AgvNumber, Path, PlanningProblem, PlanResult, Status
 
 
-def plan(problem):
-    """Prioritised planning; whoever finds no path keeps its place, and the others plan again round it."""
-    search, stays = PathSearch(Distances(Space(problem.graph, problem.motion))), {}
+def plan(problem: PlanningProblem) -> PlanResult:
+    """Prioritised planning: an AGV that finds no path keeps its place, and the others plan again round it."""
+    search = PathSearch(Distances(Space(problem.graph, problem.motion)))
+    stays: dict[AgvNumber, AgvNumber] = {}
     search.begin(problem)
     while True:
-        table, paths = ReservationTable(len(problem.graph.names), problem.motion.following), {}
-        for path in problem.fixed:
-            table.add(path)
+        table = ReservationTable(len(problem.graph.names), problem.motion.following)
+        paths: dict[AgvNumber, Path] = {}
+        for fixed in problem.fixed:
+            table.add(fixed)
         for agent in problem.agents:
             if agent.agv in stays:
                 table.hold(agent.vertex, 0, problem.window_steps, agent.agv)
         for agent in sorted(problem.agents, key=lambda a: -a.priority):
             if agent.agv not in stays:
-                paths[agent.agv] = search.find_path(problem, agent, table)
-                if paths[agent.agv] is None:
+                path = search.find_path(problem, agent, table)
+                if path is None:
                     stays[agent.agv] = search.blocker
                     break
-                table.add(paths[agent.agv])
+                table.add(path)
+                paths[agent.agv] = path
         else:
             return PlanResult(Status.PARTIAL if stays else Status.SOLVED, paths, stays)
