@@ -42,7 +42,7 @@ def run_checks(meta: Mapping[str, Any], metrics: Metrics) -> list[Check]:
     """What must hold in every run.
 
     Args:
-        meta: keys as in ``parking_sim.record.META``.
+        meta: keys as in ``analysis.record.META``.
         metrics: the run's metrics.
 
     Returns:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 _DAY_S = 86_400
 
@@ -27,7 +27,7 @@ class Clock:
         """The clock of a run.
 
         Args:
-            meta: keys as in ``parking_sim.record.META``.
+            meta: keys as in ``analysis.record.META``.
         """
         return cls(meta.get("day_start_h"))
 

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.measures import MEASURES, Interval, interval, measure_runs, t_quantile
+from analysis.run_files import check_ended
 from analysis.runs import Runs, load_runs
 from analysis.variants import value_text
-from parking_sim.errors import InputError
-from parking_sim.folders import check_ended
+from sumo_nets.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from analysis.clock import Clock
 from analysis.deadlocks import Deadlock, deadlocks, draw, story
 from analysis.holds import LongWait, long_waits
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 if TYPE_CHECKING:
     from analysis.tables import Run

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.statistic import statistic
 from analysis.turned_away import SQL_CAME, SQL_TURNED_AWAY
 
 if TYPE_CHECKING:
@@ -137,28 +138,6 @@ def measure_runs(runs: Runs, warmup_s: float = 0.0, *, endless: bool = False) ->
     frame[["tasks_per_hour", "deadlocks_per_hour"]] = missing
     result: pd.DataFrame = frame.loc[list(runs.folders), ["seed", *MEASURES]].reset_index()
     return result
-
-
-def statistic(name: str, waits: Sequence[float], endless: int = 0) -> float:
-    """A statistic of waits.
-
-    Args:
-        name: mean, max, or p with a number of percent; quantiles interpolate linearly between order statistics.
-        waits: seconds, in rising order.
-        endless: number of waits without end, which come on top.
-
-    Returns:
-        Seconds; infinite if a wait without end has a part in it, NaN without waits.
-    """
-    count = len(waits) + endless
-    if count == 0:
-        return math.nan
-    if name == "mean":
-        return math.inf if endless else float(np.mean(waits))
-    at = (count - 1) * (1.0 if name == "max" else int(name[1:]) / 100)
-    if at > len(waits) - 1 + 1e-9:
-        return math.inf
-    return float(np.interp(at, range(len(waits)), waits))
 
 
 def _waits(runs: Runs, warmup_s: float, endless: bool) -> pd.DataFrame:

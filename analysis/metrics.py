@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.measures import statistic
+from analysis.record import NAN, write_json
+from analysis.statistic import statistic
 from analysis.tables import Run, load_run
 from analysis.turned_away import turned_away
 from analysis.witness import WITNESSES
-from parking_sim.record import NAN, write_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -56,12 +56,12 @@ METRICS: Mapping[str, tuple[str, str]] = {
     "tasks_done": ("tasks", "tasks served"),
     "requests": ("", "requests made"),
     "requests_waiting": ("", "requests not yet served at the end"),
-    "requests_void": ("", "requests that mean nothing, see parking_sim.record.COLUMNS, tasks, state"),
+    "requests_void": ("", "requests that mean nothing, see analysis.record.COLUMNS, tasks, state"),
     "requests_conserved": ("0/1", "1 if every request ended in exactly one of served, waiting, turned away, void"),
     "customers_came": ("cars", "customers who came with a car, with those turned away; void requests don't count"),
     "customers_turned_away": ("cars", "those of them who were turned away: no slot for them, or a queue too long"),
     "turned_away_share": ("", "customers turned away as a share of those who came"),
-    **{f"cars_{name}": ("cars", f"see parking_sim.record.META, cars_{name}") for name in CARS},
+    **{f"cars_{name}": ("cars", f"see analysis.record.META, cars_{name}") for name in CARS},
     "cars_conserved": ("0/1", "1 if initial + arrived = parked + left + in transit, and the garage's own audit agrees"),
     "parks_done": ("cars", "cars parked"),
     "retrievals_done": ("cars", "cars given back"),

@@ -11,7 +11,7 @@ import numpy as np
 
 from analysis.figures import BLUE, GREEN, GREY, ORANGE, style
 from demand.profiles import Profile
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,15 +18,15 @@ import numpy as np
 from analysis.clock import Clock
 from analysis.deadlocks import deadlocks, outcome
 from analysis.faults import fault_spans
+from analysis.record import COLUMNS
 from analysis.replay_cars import MODES, plans_shown, read_track, stays_shown, tasks_shown
 from analysis.replay_data import Floats, Ints, Window, ms, pack
 from analysis.replay_floor import Floor, read_floor
 from analysis.report import environment, page_title, write_page
+from analysis.run_files import check_ended
 from analysis.tables import Run, load_run
 from analysis.words import words
-from parking_sim.errors import InputError
-from parking_sim.folders import check_ended
-from parking_sim.record import COLUMNS
+from sumo_nets.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd

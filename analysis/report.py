@@ -16,10 +16,10 @@ from analysis.deadlocks import deadlocks, draw, outcome, why
 from analysis.explain import longest_waits, wait_words
 from analysis.figures import figures
 from analysis.metrics import METRICS, Metrics, run_metrics
+from analysis.run_files import INPUTS
 from analysis.tables import Run, load_run
 from analysis.turned_away import turned_away, turned_away_words
 from analysis.words import counted, words
-from parking_sim.folders import INPUTS
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -12,27 +12,24 @@ thousands of runs a DuckDB relation reads only the columns and rows that a quest
 from __future__ import annotations
 
 import json
-import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel
-
 from analysis.metrics import METRICS, run_metrics
 from analysis.parquet import parquet_rows, quoted
+from analysis.record import COLUMNS
 from analysis.tables import load_run
 from analysis.variants import Variant, by_scenario, flatten
-from parking_sim.record import COLUMNS
 
 if TYPE_CHECKING:
     import duckdb
     import pandas as pd
 
 #: Columns of the table ``runs`` that are neither keys of the scenario nor metrics -> (unit, meaning).
-_RUN_COLUMNS: Mapping[str, tuple[str, str]] = {
+RUN_COLUMNS: Mapping[str, tuple[str, str]] = {
     "run": ("", "the run: its folder, from the folder that was loaded; the same in all tables"),
     "variant": ("", "what the run is one of, besides its seed: the name in its sweep, or the keys that differ"),
     "status": ("", "how it ended: finished, time_limit, stalled or interrupted"),
@@ -91,24 +88,24 @@ class Runs:
 
     @cached_property
     def runs(self) -> pd.DataFrame:
-        """One row per run: the scenario's keys, joined by dots, and the metrics. See :func:`run_columns`."""
+        """One row per run: the scenario's keys, joined by dots, and the metrics."""
         return self.table("runs")
 
     @cached_property
     def tasks(self) -> pd.DataFrame:
-        """One row per request: ``run``, and the columns of ``parking_sim.record.COLUMNS["tasks"]``."""
+        """One row per request: ``run``, and the columns of ``analysis.record.COLUMNS["tasks"]``."""
         return self.table("tasks")
 
     @cached_property
     def events(self) -> pd.DataFrame:
-        """One row per event: ``run``, and the columns of ``parking_sim.record.COLUMNS["events"]``."""
+        """One row per event: ``run``, and the columns of ``analysis.record.COLUMNS["events"]``."""
         return self.table("events")
 
     def table(self, name: str) -> pd.DataFrame:
         """A table over all runs.
 
         Args:
-            name: ``runs``, or a table of ``parking_sim.record.COLUMNS``.
+            name: ``runs``, or a table of ``analysis.record.COLUMNS``.
 
         Returns:
             Rows in the order of the runs and of each record.
@@ -209,20 +206,6 @@ def load_runs(folder: Path | str) -> Runs:
     return Runs(_some(done, folder), planned, _failures(folder / "failures.json"))
 
 
-def run_columns() -> dict[str, tuple[str, str]]:
-    """What the columns of the table ``runs`` mean.
-
-    Returns:
-        Column -> (unit, meaning): the run's own, then the scenario's keys, then the metrics. Lists in a scenario are
-        JSON text. A table has the columns of the scenario that its runs have, and one more for each key of a mapping
-        with free keys, such as ``planner_options.NAME``.
-    """
-    from parking_sim.config import Scenario
-
-    scenario = {name: ("", meaning) for name, meaning in _described(Scenario, "")}
-    return {**_RUN_COLUMNS, **scenario, **METRICS}
-
-
 def _some(folders: Mapping[str, Path], folder: Path) -> Mapping[str, Path]:
     if not folders:
         raise FileNotFoundError(f"no run in {folder}")
@@ -237,10 +220,9 @@ def _runs_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     import pandas as pd
 
     frame = pd.DataFrame(rows)
-    order = list(run_columns())
-    scenario = [column for column in frame if column not in _RUN_COLUMNS and column not in METRICS]
-    scenario.sort(key=lambda column: order.index(column) if column in order else len(order))
-    frame = frame[[*_RUN_COLUMNS, *scenario, *METRICS]]
+    scenario = [column for column in frame if column not in RUN_COLUMNS and column not in METRICS]
+    scenario.sort(key=lambda column: ("." in str(column), str(column)))
+    frame = frame[[*RUN_COLUMNS, *scenario, *METRICS]]
     for column in scenario:
         kinds = {type(value) for value in frame[column] if value is not None and value == value}
         if len(kinds) > 1 and not kinds <= {int, float}:
@@ -267,22 +249,3 @@ def _over(files: Mapping[str, Path]) -> str:
         f"SELECT names.run, rows.* EXCLUDE (filename) FROM {parquet_rows(list(files.values()))} AS rows"
         f" JOIN (VALUES {named}) AS names(file, run) ON rows.filename = names.file"
     )
-
-
-def _described(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, str]]:
-    """The keys of a model of options and of the models in it, with their descriptions."""
-    for name, field in model.model_fields.items():
-        nested = _models(field.annotation)
-        if not nested or type(None) in typing.get_args(field.annotation):
-            yield prefix + name, field.description or "which of the kinds it is"
-        for inner in nested:
-            yield from _described(inner, f"{prefix}{name}.")
-
-
-def _models(annotation: Any) -> list[type[BaseModel]]:
-    """The models of options that a field may hold; none for lists and mappings of them."""
-    if isinstance(annotation, type):
-        return [annotation] if issubclass(annotation, BaseModel) else []
-    if typing.get_origin(annotation) in (tuple, list, dict):
-        return []
-    return [model for argument in typing.get_args(annotation) for model in _models(argument)]

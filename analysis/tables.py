@@ -1,4 +1,4 @@
-"""Records as pandas tables. Columns are those of ``parking_sim.record.COLUMNS``; pandas is loaded on first use."""
+"""Records as pandas tables. Columns are those of ``analysis.record.COLUMNS``; pandas is loaded on first use."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from analysis.journal import read_journal
 from analysis.parquet import parquet_rows
-from parking_sim.folders import JOURNAL
-from parking_sim.journal import read_journal
-from parking_sim.record import COLUMNS, Recorder
+from analysis.record import COLUMNS, Recorder
+from analysis.run_files import JOURNAL
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,7 +27,7 @@ class Run:
 
     Attributes:
         name: name of the run: its folder's name.
-        meta: content of ``run.json``, keys as in ``parking_sim.record.META``.
+        meta: content of ``run.json``, keys as in ``analysis.record.META``.
         read: gives a table by name.
         folder: where the record is, None if it has not been written.
 
@@ -115,7 +115,7 @@ class Run:
         """The events of one kind, with the keys of their detail as columns instead of ``detail``.
 
         Args:
-            kind: one of ``parking_sim.record.KINDS``.
+            kind: one of ``analysis.record.KINDS``.
 
         Returns:
             Rows in the order of the record; without rows only the fixed columns are there.

@@ -23,11 +23,10 @@ from typing import Any
 from docs_tables import Row, Rows, RunSet, Table, groups, markdown, total
 
 from parking_sim.config import Scenario, check_scenario
-from parking_sim.errors import InputError
 from parking_sim.simulation import simulate
 from sumo_nets.build import build_net
 from sumo_nets.check import check_net, describe_net
-from sumo_nets.errors import NetError
+from sumo_nets.errors import InputError, NetError
 from sumo_nets.generate import layout_yaml
 from sumo_nets.layout import Layout, LayoutError, run_cells
 from sumo_nets.plan import plan_garage

@@ -18,7 +18,7 @@ import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import process_time
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
@@ -153,7 +153,9 @@ class Lifelong:
         self.costs = Costs(graph, motion, self.blocked)
         self.events: dict[str, int] = {}
         settings = replace(control_options(planner), **control)
-        self.planning = Planning(self.timed, settings, self.agvs, self.executor, RULES, self.costs, self._log)
+        self.planning = Planning(
+            self.timed, settings, self.agvs, self.executor, RULES, self.costs, self._log, perf_counter
+        )
         self.rest = np.zeros(len(graph.names), dtype=np.uint8)
         self.count: NumberedList[AgvNumber, int] = [0] * agents
         self.done, self.quiet, self._last = 0, 0, 0

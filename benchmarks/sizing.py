@@ -18,13 +18,14 @@ from pathlib import Path
 import numpy as np
 
 from analysis.measures import interval
+from analysis.size_curve import Sizing, Target
 from analysis.variants import variant_of
 from demand.profile_traffic import ProfileTraffic
 from parking_sim.config import Scenario, check_scenario
-from parking_sim.executors import open_executor
 from parking_sim.many_runs import open_folder, write_plan
-from parking_sim.sizing import LAST_CONFIDENCE, Sizing, Target, answer, find_least, measure_specs, parse_target
+from parking_sim.sizing import LAST_CONFIDENCE, answer, find_least, measure_specs, parse_target
 from parking_sim.sweep_plan import make_runs
+from parking_sim.workers import open_executor
 
 SEEDS = range(1, 31)
 

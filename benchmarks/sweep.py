@@ -21,9 +21,9 @@ import yaml
 
 from analysis.runs import load_runs
 from controller.planners.table import PLANNERS
-from parking_sim.executors import open_executor
 from parking_sim.many_runs import do_run, sweep
 from parking_sim.sweep_plan import RunSpec, load_sweep
+from parking_sim.workers import open_executor
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ grants. The ACS sees states and gives commands; it knows neither SUMO nor files 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +42,7 @@ class Setup:
         planner: answers planning problems.
         dispatch: which AGV takes which task.
         log: takes events.
+        clock: wall-clock seconds, for the record alone.
     """
 
     graph: Graph
@@ -53,6 +54,7 @@ class Setup:
     planner: Planner
     dispatch: Rule
     log: Log
+    clock: Callable[[], float]
 
 
 class Acs:
@@ -74,7 +76,7 @@ class Acs:
         self.executor = Executor(setup.graph, setup.motion, setup.homes)
         self.costs = Costs(setup.graph, setup.motion, setup.garage.blocked)
         self.planning = Planning(
-            setup.planner, setup.options, self.agvs, self.executor, setup.rules, self.costs, self.log
+            setup.planner, setup.options, self.agvs, self.executor, setup.rules, self.costs, self.log, setup.clock
         )
         self.outages = Outages()
         self.holds = Holds(setup.garage, self.agvs, self.executor, self.outages, self.costs)

@@ -90,4 +90,5 @@ def _imported(source: bytes, sources: Mapping[str, bytes]) -> set[str]:
     return {file for name in names if (file := name.replace(".", "/") + ".py") in sources}
 
 
+# before the first kernel is compiled, whoever imports it: a script that plans without parking_sim, too
 forget_stale_code(Path(__file__).parents[1], ("controller", "sumo_nets", "parking_sim"))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
-from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from controller.flags import flags_of
 from controller.fleet import Agv, StuckBoost, priority
 from controller.reordering import reorder
 from controller.replanning import anybody_stands, waits_ahead, without_plan
+from controller.retiming import retime
 from controller.rules import Rules
 from controller.types import (
     FOREVER,
@@ -33,7 +33,6 @@ from controller.types import (
     PlanningProblem,
     PlanResult,
 )
-from controller.visits import retime
 from controller.window import Window, WindowRange, WindowRule, count_sccs
 from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex, numbered
 
@@ -110,6 +109,7 @@ class Planning:
         rules: gives the steps of a move.
         costs: driving costs, shared with dispatch.
         log: takes events.
+        clock: wall-clock seconds, for the record alone.
 
     Attributes:
         flags: what the planner says of itself.
@@ -127,8 +127,10 @@ class Planning:
         rules: Rules,
         costs: Costs,
         log: Log,
+        clock: Callable[[], float],
     ) -> None:
         self._planner = planner
+        self._clock = clock
         self.flags = flags_of(planner)
         self._options = options
         self._agvs = agvs
@@ -180,7 +182,7 @@ class Planning:
             return
         self._changed = False
         problem = self._problem(step, blocked, no_rest())
-        start = perf_counter()
+        start = self._clock()
         result = self._planner(problem)
         result.counters.slot_choice, self.slot_choice = self.slot_choice, 0
         self._take(step, problem, result)
@@ -189,7 +191,7 @@ class Planning:
             met = len(result.waits), count_sccs(result.waits)
         window = self._window.cells
         self._adapt(*met)
-        wall_s = perf_counter() - start
+        wall_s = self._clock() - start
         if self._options.replanning != "periodic":
             self._expect(step)
         status = result.status.value

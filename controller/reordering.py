@@ -16,8 +16,8 @@ from collections import deque
 from collections.abc import Collection, Mapping
 
 from controller.executor import Executor
+from controller.retiming import retime
 from controller.types import AgvNumber, Path
-from controller.visits import retime
 from sumo_nets.numbering import Vertex, numbered
 
 

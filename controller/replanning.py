@@ -11,8 +11,8 @@ from collections.abc import Collection, Iterator
 
 from controller.executor import Executor
 from controller.fleet import Agv
+from controller.retiming import retime
 from controller.types import AgvNumber, Path
-from controller.visits import retime
 from sumo_nets.numbering import Vertex
 
 #: A wait is one from so many moves on.

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from controller.types import Request, RequestKind
 from demand.types import Demand, Workload
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 _NEEDED = ("time_s", "kind", "car")
 _COLUMNS = (*_NEEDED, "zone")

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from controller.types import Request, RequestKind
 from demand.types import Demand, Workload, car_names, stream
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 
 class ParkExit(Workload):

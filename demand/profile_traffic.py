@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from demand.poisson import Stays, demand_of
 from demand.profiles import PROFILES, Floats, Profile, find_profile
 from demand.types import Demand, Workload, stream
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 from sumo_nets.wording import one_of
 
 

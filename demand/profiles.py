@@ -27,7 +27,7 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 from sumo_nets.fields import first_error
 from sumo_nets.wording import one_of
 from sumo_nets.yaml_file import YamlError, read_mapping

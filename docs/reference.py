@@ -77,8 +77,8 @@ def _type(field: Mapping[str, Any]) -> str:
 
 def _columns() -> Iterator[str]:
     from analysis.metrics import METRICS
-    from analysis.runs import run_columns
-    from parking_sim.record import COLUMNS
+    from analysis.record import COLUMNS
+    from parking_sim.columns import run_columns
 
     yield "# Columns and metrics\n"
     for table, entries in {**COLUMNS, "metrics": METRICS, "runs": run_columns()}.items():

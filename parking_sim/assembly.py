@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,13 +23,13 @@ from controller.window import WindowRule
 from demand.types import Demand, stream
 from demand.workloads import make_demand
 from parking_sim.config import AgvConfig, ControlConfig, PlantKind, Scenario, unknown_names
-from parking_sim.errors import InputError
 from parking_sim.faults import scripted_faults
 from parking_sim.plants import Plant
 from parking_sim.plants.faulty import BreakablePlant, FaultyPlant
 from parking_sim.rulesets import RULE_SETS, TickRules
 from sumo_nets.check import require_fit
 from sumo_nets.doors import one_door_each
+from sumo_nets.errors import InputError
 from sumo_nets.in_use import chosen_homes, first_places
 from sumo_nets.numbering import Numbered, Vertex
 from sumo_nets.passing import crowded
@@ -103,7 +104,7 @@ class World:
         options = control_options(s.control, s.plant, self.rules.cell_steps, self.motion.step_s)
         prescribed = _ticks(s).dispatch if s.plant == "discrete" else ""
         rule = DISPATCH[prescribed or s.dispatch]
-        return Acs(Setup(graph, self.motion, self.homes, garage, self.rules, options, planner, rule, log))
+        return Acs(Setup(graph, self.motion, self.homes, garage, self.rules, options, planner, rule, log, perf_counter))
 
 
 def assemble(scenario: Scenario) -> World:

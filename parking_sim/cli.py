@@ -19,10 +19,10 @@ import typer
 
 from parking_sim import gate_logs, planner_check, routes, studies
 from parking_sim.command_groups import Grouped
-from parking_sim.errors import InputError, RunFailedError
-from parking_sim.folders import check_folder
+from parking_sim.errors import RunFailedError
 from parking_sim.reproduce import app as reproduce_app
 from parking_sim.shadowing import require_own_packages
+from sumo_nets.errors import InputError
 from sumo_nets.wording import one_of
 
 if TYPE_CHECKING:
@@ -141,6 +141,8 @@ def run(
         raise InputError(f"{'--gui' if gui else '--fcd'}: plant is {loaded.plant}: only SUMO has it; give --plant sumo")
     name = Path(scenario).name.split(".")[0]
     folder = out or Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    from parking_sim.folders import check_folder
+
     check_folder(folder, force)
 
     from parking_sim.simulation import simulate
@@ -183,8 +185,8 @@ def resume(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
 ) -> None:
     """Finish a run that was killed: simulated anew, compared with what it had recorded, to the same record."""
+    from analysis.run_files import JOURNAL
     from parking_sim.config import load_scenario
-    from parking_sim.folders import JOURNAL
     from parking_sim.simulation import simulate
 
     if not (folder / JOURNAL).is_file():
@@ -208,6 +210,8 @@ def rerun_(
     from parking_sim.rerun import rerun
 
     if out is not None:
+        from parking_sim.folders import check_folder
+
         check_folder(out, force=False)
     with _progress_bar(folder.name, quiet) as progress:
         found = rerun(folder, out, progress)
@@ -372,8 +376,8 @@ def schema() -> None:
 def columns() -> None:
     """Explain every column of a record's tables and every metric: table, name, unit, meaning, separated by tabs."""
     from analysis.metrics import METRICS
-    from analysis.runs import run_columns
-    from parking_sim.record import COLUMNS
+    from analysis.record import COLUMNS
+    from parking_sim.columns import run_columns
 
     for table, entries in {**COLUMNS, "metrics": METRICS, "runs": run_columns()}.items():
         for name, (unit, meaning) in entries.items():

@@ -12,8 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError,
 
 from demand.park_exit import ParkExit
 from demand.workloads import WorkloadConfig
-from parking_sim.errors import InputError
 from parking_sim.fault_config import FaultConfig
+from sumo_nets.errors import InputError
 from sumo_nets.fields import first_error
 from sumo_nets.read import shipped_nets
 from sumo_nets.wording import one_of

@@ -1,10 +1,6 @@
-"""What the command line says in one line: input that a user can put right, and a run that came to no end."""
+"""The failure of a run, which the command line says in one line; bad input is ``sumo_nets.errors.InputError``."""
 
 from __future__ import annotations
-
-from sumo_nets.errors import InputError
-
-__all__ = ["InputError", "RunFailedError"]
 
 
 class RunFailedError(RuntimeError):

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from controller.types import NO_AGV, AgvNumber
 from demand.types import stream
-from parking_sim.errors import InputError
 from parking_sim.fault_config import AGV_FAULTS, DRAWN_FAULTS, AnyFault, Drawn, FaultConfig
+from sumo_nets.errors import InputError
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import NO_VERTEX, Vertex
 from sumo_nets.wording import one_of

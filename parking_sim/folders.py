@@ -6,14 +6,8 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from parking_sim.errors import InputError
-
-#: A folder that holds this file holds a run. It is the last file of a run to be written.
-RUN_FILE = "run.json"
-#: A folder that holds this one holds a run that has not ended, see ``parking_sim.journal``.
-JOURNAL = "journal.jsonl"
-#: Folder within a run's, or a sweep's, for copies of the user's own files that it reads.
-INPUTS = "inputs"
+from analysis.run_files import INPUTS, JOURNAL, RUN_FILE, did_not_end, go_on
+from sumo_nets.errors import InputError
 
 #: What is not written to a folder with these in its name, and why.
 _UNREADABLE = {
@@ -38,9 +32,9 @@ def check_folder(folder: Path, force: bool) -> None:
     check_path(folder)
     try:
         if folder.is_dir() and any(folder.iterdir()):
-            if _did_not_end(folder):
+            if did_not_end(folder):
                 if not force:
-                    raise InputError(f"--out: {_go_on(folder)}, or give --force to replace it")
+                    raise InputError(f"--out: {go_on(folder)}, or give --force to replace it")
             elif not (folder / RUN_FILE).is_file():
                 raise InputError(f"--out: {folder}: holds files that are not a run's; give another folder")
             elif not force:
@@ -50,16 +44,6 @@ def check_folder(folder: Path, force: bool) -> None:
         _try_writing(folder)
     except OSError as error:
         raise InputError(f"--out: {folder}: can't be written: {error.strerror}") from None
-
-
-def check_ended(folder: Path) -> None:
-    """Make sure that a folder does not hold a run that was killed.
-
-    Raises:
-        InputError: it does.
-    """
-    if _did_not_end(folder):
-        raise InputError(_go_on(folder))
 
 
 def check_path(folder: Path) -> None:
@@ -84,14 +68,6 @@ def clear_run(folder: Path) -> None:
             if path.is_file() and path.suffix in _SUFFIXES:
                 path.unlink(missing_ok=True)
         shutil.rmtree(folder / INPUTS, ignore_errors=True)
-
-
-def _did_not_end(folder: Path) -> bool:
-    return (folder / JOURNAL).is_file() and not (folder / RUN_FILE).is_file()
-
-
-def _go_on(folder: Path) -> str:
-    return f"{folder}: holds a run that did not end; go on with it: parking-sim resume {folder}"
 
 
 def _try_writing(folder: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 Log = Annotated[Path, typer.Argument(help="A gate log: a header, then a row a movement with time, in or out, plate.")]
 Columns = Annotated[str, typer.Option(help="Names of columns, such as time=Zeitpunkt,event=Richtung,car=Kennzeichen.")]

@@ -17,9 +17,9 @@ from uuid import uuid4
 
 import yaml
 
+from analysis.run_files import INPUTS
 from parking_sim.config import NET_SUFFIXES, Scenario
-from parking_sim.errors import InputError
-from parking_sim.folders import INPUTS
+from sumo_nets.errors import InputError
 from sumo_nets.read import net_files
 
 SCENARIO_FILE = "scenario.yaml"

@@ -13,16 +13,18 @@ from typing import TYPE_CHECKING
 from analysis.compare import HEADLINES, Comparison, select_runs
 from analysis.compare import compare as compare_runs
 from analysis.runs import Runs, load_runs
+from analysis.size_curve import Sizing
 from analysis.variants import by_scenario
 from parking_sim.config import Scenario
-from parking_sim.errors import InputError, RunFailedError
-from parking_sim.executors import open_executor
+from parking_sim.errors import RunFailedError
 from parking_sim.many_runs import SweepProgress
 from parking_sim.many_runs import sweep as run_sweep
 from parking_sim.shadowing import require_own_packages
-from parking_sim.sizing import LOOKS, Sizing, parse_target, size_garage
+from parking_sim.sizing import LOOKS, parse_target, size_garage
 from parking_sim.sweep_plan import RunSpec, load_sweep, make_runs
+from parking_sim.workers import open_executor
 from sumo_nets.build import build_net
+from sumo_nets.errors import InputError
 from sumo_nets.layout import Layout
 from sumo_nets.read import read_net
 from sumo_nets.wording import one_of

@@ -19,11 +19,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
+from analysis.run_files import INPUTS
 from parking_sim.config import Scenario
-from parking_sim.errors import InputError, RunFailedError
-from parking_sim.folders import INPUTS, check_path
+from parking_sim.errors import RunFailedError
+from parking_sim.folders import check_path
 from parking_sim.sweep_plan import RunSpec
 from parking_sim.versions import code_version
+from sumo_nets.errors import InputError
 
 SWEEP_FILE, FAILURES_FILE, RUNS_FOLDER = "sweep.json", "failures.json", "runs"
 
@@ -73,7 +75,7 @@ def sweep(specs: Sequence[RunSpec], folder: Path, executor: Executor, tell: Tell
     Args:
         specs: the runs.
         folder: folder of the sweep, made if need be; on a cluster, all workers see it under the same path.
-        executor: what does them, see ``parking_sim.executors``.
+        executor: what does them, see ``parking_sim.workers``.
         tell: called with the progress about twice a second.
 
     Returns:
@@ -116,7 +118,7 @@ def write_plan(specs: Sequence[RunSpec], folder: Path) -> None:
         specs: the runs.
         folder: folder of the sweep.
     """
-    from parking_sim.record import write_json
+    from analysis.record import write_json
 
     runs = [{**_named(spec), "shown": list(spec.variant.shown.items())} for spec in specs]
     write_json(folder / SWEEP_FILE, {"code": code_version(), "runs": runs})
@@ -246,7 +248,7 @@ def _place(error: BaseException) -> str:
 
 
 def _write_failures(failures: Sequence[Failure], folder: Path) -> None:
-    from parking_sim.record import write_json
+    from analysis.record import write_json
 
     rows = [{**_named(failure.spec), "error": failure.error} for failure in failures]
     write_json(folder / FAILURES_FILE, {"failures": rows})

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 
 def check_planner(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 from sumo_nets.wording import one_of
 
 if TYPE_CHECKING:

@@ -12,6 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from parking_sim.shadowing import require_own_packages
+
+require_own_packages()  # before a file of the user's own can be taken for one of the packages below
+
+from analysis.journal import FLUSH_S, Journal
+from analysis.record import AgvRow, Recorder, TaskRow
 from controller.faults import REPORTED, FaultReport
 from controller.garage import Task
 from controller.types import NO_AGV, Action, Advance, AgvMode, AgvNumber, Request, whole_steps
@@ -19,11 +25,8 @@ from parking_sim.assembly import World, assemble
 from parking_sim.config import Scenario
 from parking_sim.folders import clear_run
 from parking_sim.inputs import Inputs, kept_net, read_inputs, write_inputs
-from parking_sim.journal import FLUSH_S, Journal
 from parking_sim.plants import CarAtBay
 from parking_sim.plants.faulty import FaultyPlant
-from parking_sim.record import AgvRow, Recorder, TaskRow
-from parking_sim.shadowing import require_own_packages
 from parking_sim.versions import code_version, versions
 from sumo_nets.numbering import NO_VERTEX, Numbered, NumberedList, Vertex, numbered
 from sumo_nets.under_cars import cramped_slots
@@ -114,7 +117,7 @@ def simulate(
         gui: show it in sumo-gui.
         fcd: write SUMO's floating car data as well.
         progress: called a few times a second.
-        resumed: ``out`` holds the journal of this run, which was killed; see ``parking_sim.journal``.
+        resumed: ``out`` holds the journal of this run, which was killed; see ``analysis.journal``.
         shared: folder for files that many runs read, see ``parking_sim.inputs``.
 
     Returns:

@@ -21,18 +21,20 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from analysis.measures import Interval, interval
+from analysis.size_curve import SIZED, Sizing, Target, Tried, count_of
 from analysis.turned_away import TurnedAway, turned_away, turned_away_words
 from analysis.variants import variant_of
 from parking_sim.config import Scenario
-from parking_sim.errors import InputError, RunFailedError
+from parking_sim.errors import RunFailedError
 from parking_sim.many_runs import Tell, open_folder, run_folder, run_missing, write_plan
 from parking_sim.sweep_plan import RunSpec, make_runs
+from sumo_nets.errors import InputError
 
 if TYPE_CHECKING:
     from analysis.runs import Runs
@@ -42,9 +44,6 @@ LOOKS = (3, 5, 8, 12, 18, 30)
 #: One-sided confidence that a number meets the target, at a look and at the last one; and that it misses it.
 LOOK_CONFIDENCE, LAST_CONFIDENCE, MISS_CONFIDENCE = 0.998, 0.96, 0.95
 
-#: What can be sized: the scenario's key, and its word.
-SIZED = {"agvs": "AGVs", "bays": "bays", "chargers": "chargers"}
-
 _WHAT = {
     "retrieval total": "retrieval_total",
     "retrieval": "retrieval_wait",
@@ -53,88 +52,6 @@ _WHAT = {
 }
 _TARGET = re.compile(rf"({'|'.join(_WHAT)}) (mean|p50|p90|p95|p99|max) < (\d+(?:\.\d+)?) ?(s|min)")
 _SHARE_TARGET = re.compile(r"turned away < (\d+(?:\.\d+)?) ?%")
-
-
-@dataclass(frozen=True, slots=True)
-class Target:
-    """What shall be reached.
-
-    Attributes:
-        words: as it was asked for.
-        key: the measure, one of ``analysis.measures.MEASURES``, of which the mean over seeds counts.
-        limit: it must be less than this, in the unit of the measure.
-    """
-
-    words: str
-    key: str
-    limit: float
-
-    @property
-    def unit(self) -> str:
-        """Unit in which its values are shown."""
-        return "%" if self.key == "turned_away_share" else "s"
-
-    @property
-    def goes_on_s(self) -> float:
-        """How long a run goes on after the last request until all is known, seconds."""
-        return self.limit if self.unit == "s" else 0.0
-
-    def shown(self, value: float) -> str:
-        """A value of the measure as a number of ``unit``."""
-        if math.isinf(value):
-            return "endless"
-        return f"{100 * value:.1f}" if self.unit == "%" else f"{value:.0f}"
-
-
-@dataclass(frozen=True, slots=True)
-class Tried:
-    """A number of AGVs, bays or chargers that was tried.
-
-    Attributes:
-        number: how many.
-        meets: whether it meets the target.
-        values: the measure of each seed, in the order of the seeds; infinite where customers turned away decide.
-    """
-
-    number: int
-    meets: bool
-    values: tuple[float, ...]
-
-    @property
-    def mean(self) -> Interval:
-        """Mean over the seeds with its 95 % interval."""
-        return interval(self.values)
-
-
-@dataclass(frozen=True, repr=False)
-class Sizing:
-    """The answer: the least number that meets the target.
-
-    Attributes:
-        target: what it shall reach.
-        number: the least that does, None if none does.
-        tried: all numbers tried, in order.
-        what: of what, a key of ``SIZED``.
-        given: what was sized before, and is kept.
-        away: number tried -> the customers turned away in all its runs.
-    """
-
-    target: Target
-    number: int | None
-    tried: tuple[Tried, ...]
-    what: str = "agvs"
-    given: Mapping[str, int] = field(default_factory=dict)
-    away: Mapping[int, TurnedAway] = field(default_factory=dict)
-
-    def __repr__(self) -> str:
-        """The answer in a few words."""
-        found = "no number" if self.number is None else _count(self.number, self.what)
-        return f"<Sizing: {found} for '{self.target.words}', {self.runs} runs>"
-
-    @property
-    def runs(self) -> int:
-        """Number of runs that were needed."""
-        return sum(len(tried.values) for tried in self.tried)
 
 
 #: Gives the measure of a number of AGVs, bays or chargers for seeds.
@@ -217,7 +134,7 @@ def size_garage(
         target: what shall be reached.
         most: greatest number of each to try, by key of ``SIZED``, in the order in which they are sized.
         folder: for the runs, kept as those of a sweep over these keys: runs done already are not done again.
-        executor: what does the runs, see ``parking_sim.executors``.
+        executor: what does the runs, see ``parking_sim.workers``.
         looks: numbers of seeds after which a number is looked at.
         tell: called with the progress of the runs asked for so far.
 
@@ -307,13 +224,13 @@ def answer(sizing: Sizing, where: str) -> str:
             f"{_away_words(sizing, best.number)}"
         )
     by_number = {tried.number: tried for tried in sizing.tried}
-    given = " and ".join(_count(number, what) for what, number in sizing.given.items())
+    given = " and ".join(count_of(number, what) for what, number in sizing.given.items())
     below = by_number.get(sizing.number - 1)
     less = ""
     if below is not None:
         less = f"; {below.number} {'does' if below.number == 1 else 'do'} not, with {_span(below.mean, sizing.target)}"
     return (
-        f"{f'With {given}, ' if given else ''}{_count(sizing.number, sizing.what)}"
+        f"{f'With {given}, ' if given else ''}{count_of(sizing.number, sizing.what)}"
         f" {'meets' if sizing.number == 1 else 'meet'} '{sizing.target.words}' in {where} with 95 % confidence:"
         f" {_span(by_number[sizing.number].mean, sizing.target)}{less} ({sizing.runs} runs)."
         f"{_away_words(sizing, sizing.number)}"
@@ -326,11 +243,7 @@ def _away_words(sizing: Sizing, number: int) -> str:
     if away is None:
         return ""
     missed = "; each counts as one who waits without end" if away.number and sizing.target.unit == "s" else ""
-    return f" With {_count(number, sizing.what)}, {turned_away_words(away)}{missed}."
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {SIZED[what].removesuffix('s') if number == 1 else SIZED[what]}"
+    return f" With {count_of(number, sizing.what)}, {turned_away_words(away)}{missed}."
 
 
 def _judge(number: int, limit: float, measure: Measure, looks: Sequence[int]) -> Tried:

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 from sumo_nets.wording import one_of
 
 if TYPE_CHECKING:
     from analysis.figures import Drawing
+    from analysis.size_curve import Sizing
     from demand.profiles import Profile
     from parking_sim.config import Scenario
-    from parking_sim.sizing import Sizing
 
 _UNFINISHED = 1
 
@@ -36,10 +36,10 @@ def sweep(
     quiet: Quiet = False,
 ) -> None:
     """Run many scenarios; what is done already is skipped, so that a stopped sweep goes on."""
-    from parking_sim.executors import open_executor
     from parking_sim.many_runs import sweep as run_sweep
     from parking_sim.progress import SweepBar
     from parking_sim.sweep_plan import load_sweep
+    from parking_sim.workers import open_executor
 
     specs = load_sweep(plan)
     folder = out or Path("runs") / plan.stem
@@ -103,9 +103,9 @@ def size(
     quiet: Quiet = False,
 ) -> None:
     """Find the smallest fleet that meets a target with 95 % confidence."""
-    from parking_sim.executors import open_executor
     from parking_sim.progress import SweepBar
     from parking_sim.sizing import LOOKS, answer, parse_target, size_garage
+    from parking_sim.workers import open_executor
 
     wanted = parse_target(target)
     base = _scenario_to_size(scenario, planner, profile, (start, hours, scale), wanted.goes_on_s)
@@ -141,10 +141,10 @@ def tune(
 ) -> None:
     """Tune parameters of the controller with optuna, on the same seeds for every setting."""
     from analysis.variants import label
-    from parking_sim.executors import open_executor
     from parking_sim.sweep_plan import parse_seeds
     from parking_sim.terminal import print_table
     from parking_sim.tuning import parse_ranges, tune_scenario
+    from parking_sim.workers import open_executor
 
     name = Path(scenario).name.split(".")[0]
     folder = out or Path("runs") / f"tune-{name}"
@@ -259,7 +259,7 @@ def _where(name: str, scenario: Scenario) -> str:
 
 
 def _sizing_rows(sizing: Sizing) -> list[dict[str, str]]:
-    from parking_sim.sizing import SIZED
+    from analysis.size_curve import SIZED
 
     target, what = sizing.target, sizing.target.words.partition(" <")[0]
     return [
@@ -279,7 +279,7 @@ def _sizing_rows(sizing: Sizing) -> list[dict[str, str]]:
 
 def _keep_sizing(answers: Sequence[tuple[Sizing, str]], folder: Path) -> None:
     """The answers so far as JSON."""
-    from parking_sim.record import write_json
+    from analysis.record import write_json
 
     target = answers[0][0].target
     sized = [

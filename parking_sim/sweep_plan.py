@@ -21,9 +21,9 @@ from typing import Any
 
 from analysis.variants import NAME, Variant, label, tell_apart, variant_of
 from parking_sim.config import Scenario, check_scenario, read_yaml, scenario_keys
-from parking_sim.errors import InputError
 from parking_sim.inputs import read_inputs
 from parking_sim.versions import code_version
+from sumo_nets.errors import InputError
 
 _KEYS = ("base", "grid", "list", "seeds")
 _RANGE = re.compile(r"(\d+)(?:\.\.(\d+))?")

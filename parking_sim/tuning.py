@@ -17,10 +17,10 @@ from analysis.measures import MEASURES, Interval, interval
 from analysis.variants import variant_of
 from parking_sim.assembly import assemble
 from parking_sim.config import Scenario, check_scenario, scenario_keys
-from parking_sim.errors import InputError
 from parking_sim.many_runs import open_folder, write_plan
 from parking_sim.sizing import measure_specs
 from parking_sim.sweep_plan import RunSpec, make_runs, set_keys
+from sumo_nets.errors import InputError
 from sumo_nets.wording import one_of
 
 

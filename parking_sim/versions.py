@@ -11,7 +11,7 @@ from pathlib import Path
 
 #: Modules of ``parking_sim`` that start runs but take no part in them: a change there leaves finished runs valid.
 _AROUND_A_RUN = {
-    "__init__", "__main__", "cli", "demo", "doctor", "executors", "folders", "library", "many_runs", "progress",
+    "__init__", "__main__", "cli", "demo", "doctor", "folders", "library", "many_runs", "progress",
     "reproduce", "rerun", "shadowing", "sizing", "stepwise", "studies", "sweep_plan", "tuning", "versions",
 }  # fmt: skip
 _OF_ANALYSIS = {"metrics", "parquet", "tables"}

@@ -10,9 +10,9 @@ import pytest
 from test_analysis_runs import synthetic_meta, synthetic_recorder
 
 from analysis.metrics import METRICS, run_metrics, share_within, write_metrics
+from analysis.record import AgvRow, Recorder, TaskRow
 from analysis.tables import recorded_run
 from analysis.turned_away import TurnedAway, turned_away, turned_away_words
-from parking_sim.record import AgvRow, Recorder, TaskRow
 
 META = {
     "simulated_s": 1000.0,

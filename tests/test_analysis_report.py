@@ -12,9 +12,9 @@ from test_analysis_runs import synthetic_meta, synthetic_recorder
 from analysis.checks import failed_checks, run_checks
 from analysis.figures import FIGURES, figures
 from analysis.metrics import run_metrics
+from analysis.record import Recorder, TaskRow
 from analysis.report import deadlock_stories, headlines, incidents, number, write_index, write_report
 from analysis.tables import load_run, recorded_run
-from parking_sim.record import Recorder, TaskRow
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.record import NAN, AgvRow, AgvSample, Recorder, TaskRow
 from analysis.tables import COLUMNS, load_run, recorded_run
-from parking_sim.plants import AgvSample
-from parking_sim.record import NAN, AgvRow, Recorder, TaskRow
 from sumo_nets.graph import Graph, make_graph
 
 

@@ -11,15 +11,16 @@ from pathlib import Path
 
 import pytest
 
+from analysis.run_files import RUN_FILE
 from analysis.runs import load_run
 from parking_sim import cli
 from parking_sim.demo import RUNS, comparison, complaints_of, results_table
-from parking_sim.errors import InputError
-from parking_sim.folders import RUN_FILE, check_folder, clear_run
+from parking_sim.folders import check_folder, clear_run
 from parking_sim.plants.discrete import DiscretePlant
 from parking_sim.plants.sumo import SumoPlant
 from parking_sim.plants.sumo_api import PlantError
 from parking_sim.simulation import Summary
+from sumo_nets.errors import InputError
 
 SMALL = "garage: map1\nagvs: 2\nplant: discrete\nworkload: {kind: park_exit, cars: 3}\n"
 CSV = "garage: map1\nagvs: 2\nworkload: {kind: csv, path: log.csv}\n"

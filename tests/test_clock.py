@@ -6,7 +6,7 @@ import pytest
 
 from analysis.clock import Clock, hour_text
 from parking_sim.config import load_scenario
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 
 def test_simulated_time_and_time_of_day():

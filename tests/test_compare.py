@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from analysis import compare as module
 from analysis.compare import Comparison, compare, in_words, select_runs, table_rows, variant_names
 from analysis.measures import interval, measure_runs, statistic
+from analysis.record import Recorder, TaskRow
 from analysis.runs import Runs, load_runs
 from parking_sim.cli import main
-from parking_sim.errors import InputError
-from parking_sim.record import Recorder, TaskRow
+from sumo_nets.errors import InputError
 
 END_S = 3600.0
 

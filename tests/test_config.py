@@ -17,8 +17,8 @@ from demand.park_exit import ParkExit
 from demand.workloads import WORKLOADS, make_demand
 from parking_sim.assembly import agv_type
 from parking_sim.config import DEFAULT_AGVS, AgvConfig, Scenario, load_scenario
-from parking_sim.errors import InputError
 from parking_sim.plants.sumo_agv import AgvType
+from sumo_nets.errors import InputError
 from sumo_nets.read import read_net, shipped_nets
 
 EXAMPLES = sorted((Path(parking_sim.__file__).parent / "scenarios").glob("*.yaml"))

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations, pairwise
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analysis.metrics import run_metrics
+from analysis.record import KINDS, Recorder
 from analysis.tables import recorded_run
 from controller.costs import Costs
 from controller.deadlock.cut_off import CutOff, find_cut_off
@@ -28,7 +30,6 @@ from controller.planners.whca import make_whca
 from controller.planning import ControlOptions, Planning
 from controller.types import Action, AgvMode, Path, PlanningProblem, PlanResult, Status
 from parking_sim.plants.discrete import DiscretePlant
-from parking_sim.record import KINDS, Recorder
 from parking_sim.rulesets import RULE_SETS
 from sumo_nets.graph import Graph, make_graph
 
@@ -110,7 +111,9 @@ class Yard:
         self.resolved: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
         self.step = 0
         control = ControlOptions(period_steps=1, ladder=limits, **options)
-        self.planning = Planning(planner, control, self.agvs, self.executor, TICKS.rules(), self.costs, self.log)
+        self.planning = Planning(
+            planner, control, self.agvs, self.executor, TICKS.rules(), self.costs, self.log, perf_counter
+        )
         self.plant = DiscretePlant(graph, motion, starts, 10**6)
 
     def log(self, kind: str, agv: int, car: str, vertex: int, detail: dict[str, Any]) -> None:

@@ -9,10 +9,10 @@ import pytest
 
 from analysis.clock import Clock
 from analysis.deadlocks import deadlocks, draw, story, why
+from analysis.record import Recorder
 from analysis.report import write_report
 from analysis.tables import load_run
 from parking_sim.cli import main
-from parking_sim.record import Recorder
 from sumo_nets.graph import make_graph
 
 

@@ -17,7 +17,7 @@ from demand.poisson import Poisson
 from demand.types import Demand, Workload, car_names, stream
 from demand.workloads import WORKLOADS, make_demand
 from demand.zones import Zones
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 SLOTS = 200
 PROFILES: list[Workload] = [

@@ -9,8 +9,8 @@ import pytest
 import typer
 
 import parking_sim
-from analysis.runs import run_columns
 from parking_sim.cli import app
+from parking_sim.columns import run_columns
 from parking_sim.config import Scenario
 from sumo_nets.layout import Layout
 

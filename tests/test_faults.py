@@ -13,10 +13,10 @@ from whole_runs import coming_next
 
 from analysis.tables import load_run
 from parking_sim.config import check_scenario
-from parking_sim.errors import InputError
 from parking_sim.fault_config import DRAWN_FAULTS, FaultConfig
 from parking_sim.faults import fault_stream
 from parking_sim.simulation import Summary, simulate
+from sumo_nets.errors import InputError
 from sumo_nets.read import read_net
 
 #: Every kind at once, far more often than in any garage.

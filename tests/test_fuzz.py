@@ -21,8 +21,7 @@ from demand.csv_file import Csv
 from parking_sim.assembly import assemble
 from parking_sim.cli import main
 from parking_sim.config import check_scenario, load_scenario, read_yaml
-from parking_sim.errors import InputError
-from sumo_nets.errors import NetError
+from sumo_nets.errors import InputError, NetError
 from sumo_nets.layout import LayoutError, parse_layout
 from sumo_nets.plan import plan_garage
 

@@ -29,7 +29,7 @@ from demand.profiles import PROFILES
 from demand.types import Demand
 from demand.workloads import make_demand
 from parking_sim.cli import main
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 #: A row of a log: when, +1 in or -1 out, plate.
 Row = tuple[datetime, int, str]

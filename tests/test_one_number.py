@@ -21,13 +21,14 @@ from test_replay import unpack
 from analysis.explain import explain
 from analysis.measures import MEASURES, measure_runs
 from analysis.metrics import METRICS
+from analysis.record import COLUMNS
 from analysis.replay import write_replay
 from analysis.report import write_index, write_report
-from analysis.runs import load_runs, run_columns
+from analysis.runs import load_runs
 from analysis.tables import load_run
 from parking_sim.cli import main
+from parking_sim.columns import run_columns
 from parking_sim.config import check_scenario
-from parking_sim.record import COLUMNS
 from parking_sim.simulation import simulate
 
 Rows = list[dict[str, Any]]

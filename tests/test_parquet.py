@@ -10,9 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from analysis.parquet import parquet_rows, quoted
+from analysis.record import Recorder
 from analysis.runs import load_runs
 from analysis.tables import load_run
-from parking_sim.record import Recorder
 
 #: Patterns that match others, and a column.
 NAMES = ("run[1]", "run1", "run*", "run?", "it's", "time_s=7", "a, b:c")

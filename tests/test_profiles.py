@@ -17,7 +17,7 @@ from demand.profile_traffic import ProfileTraffic
 from demand.profiles import PROFILES, Profile, find_profile, from_occupancy, write_profile
 from demand.types import Demand
 from demand.workloads import make_demand
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 SLOTS = 300
 SEEDS = range(100)

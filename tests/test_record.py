@@ -11,9 +11,8 @@ import duckdb
 import numpy as np
 import pytest
 
+from analysis.record import COLUMNS, META, NAN, AgvRow, AgvSample, Recorder, TaskRow, write_json
 from controller.types import AgvMode
-from parking_sim.plants import AgvSample
-from parking_sim.record import COLUMNS, META, NAN, AgvRow, Recorder, TaskRow, write_json
 from sumo_nets.graph import make_graph
 
 

@@ -13,15 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from analysis.record import AgvSample, Recorder, TaskRow
 from analysis.replay import pack, replay_page, write_replay
 from analysis.report import write_report
 from analysis.tables import Run, load_run, recorded_run
 from parking_sim.cli import main
 from parking_sim.config import load_scenario
-from parking_sim.errors import InputError
-from parking_sim.plants import AgvSample
-from parking_sim.record import Recorder, TaskRow
 from parking_sim.simulation import simulate
+from sumo_nets.errors import InputError
 from sumo_nets.graph import make_graph
 
 NEVER = 2**30

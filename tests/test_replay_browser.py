@@ -18,11 +18,10 @@ import pytest
 from browser import Browser, browser
 from test_replay import folder, little_run
 
+from analysis.record import AgvSample, Recorder, TaskRow
 from analysis.replay import LIMIT_BYTES, replay_page
 from analysis.report import write_index
 from analysis.tables import load_run, recorded_run
-from parking_sim.plants import AgvSample
-from parking_sim.record import Recorder, TaskRow
 from sumo_nets.read import read_net
 
 __all__ = ["folder"]

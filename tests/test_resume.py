@@ -15,9 +15,9 @@ import time
 
 import pytest
 
+from analysis.run_files import JOURNAL
 from analysis.tables import load_run
 from parking_sim.cli import main
-from parking_sim.folders import JOURNAL
 
 KILLS = int(os.environ.get("KILLS", "1"))
 SCENARIO = """

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from whole_runs import MAPS, check_all_done, check_whole, deadlocks, run
 
+from analysis.record import KINDS
 from controller.types import AgvMode
-from parking_sim.record import KINDS
 from sumo_nets.read import read_net
 
 BRISK = {"handling_median_s": 5.0}

@@ -17,18 +17,18 @@ import numpy as np
 import pytest
 
 from analysis.measures import interval
+from analysis.size_curve import Target
 from analysis.tables import load_run
 from analysis.turned_away import TurnedAway
 from demand.park_exit import ParkExit
 from parking_sim.assembly import assemble
 from parking_sim.cli import main
 from parking_sim.config import load_scenario
-from parking_sim.errors import InputError
-from parking_sim.executors import open_executor
 from parking_sim.simulation import simulate
-from parking_sim.sizing import LAST_CONFIDENCE, Measure, Target, answer, find_least, parse_target, size_garage
+from parking_sim.sizing import LAST_CONFIDENCE, Measure, answer, find_least, parse_target, size_garage
 from parking_sim.tuning import parse_ranges, tune_scenario
-from sumo_nets.errors import NetError
+from parking_sim.workers import open_executor
+from sumo_nets.errors import InputError, NetError
 from sumo_nets.in_use import chosen_homes, first_places
 from sumo_nets.read import net_files, read_net
 
@@ -263,7 +263,7 @@ def test_an_answer_outlives_what_fails_after_it(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("parking_sim.executors.open_executor", lambda *_: Failing(1))
+    monkeypatch.setattr("parking_sim.workers.open_executor", lambda *_: Failing(1))
     (tmp_path / "s.yaml").write_text(SCENARIO)
     with pytest.raises(SystemExit) as caught:
         main(shlex.split("size s.yaml --target 'queue mean < 60 min' --max-seeds 3 -q --also bays"))

@@ -16,15 +16,17 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from analysis.runs import Runs, load_runs, run_columns
+from analysis.runs import Runs, load_runs
 from analysis.sweep_report import write_sweep_report
 from parking_sim.cli import main
-from parking_sim.errors import InputError, RunFailedError
-from parking_sim.executors import SpawnedWorkers, open_executor
+from parking_sim.columns import run_columns
+from parking_sim.errors import RunFailedError
 from parking_sim.many_runs import SweepProgress, do_run, open_folder, run_missing, sweep
 from parking_sim.plants.sumo_api import PlantError
 from parking_sim.progress import progress_words
 from parking_sim.sweep_plan import RunSpec, load_sweep
+from parking_sim.workers import SpawnedWorkers, open_executor
+from sumo_nets.errors import InputError
 
 SWEEP = """
 base: {garage: map1, agvs: 2, plant: discrete, planner: whca, workload: {kind: park_exit, cars: 4}}
@@ -203,7 +205,7 @@ def test_a_dask_cluster_gives_the_same_table(tmp_path: Path, done: Path) -> None
 
 def test_no_scheduler_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("parking_sim.executors._CONNECT_S", 1)
+    monkeypatch.setattr("parking_sim.workers._CONNECT_S", 1)
     with pytest.raises(InputError, match="no dask scheduler answers"), open_executor(scheduler="tcp://127.0.0.1:9"):
         pass
     with pytest.raises(InputError, match="--workers: 0"), open_executor(0):

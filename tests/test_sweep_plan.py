@@ -8,8 +8,8 @@ import pytest
 
 from parking_sim import sweep_plan
 from parking_sim.config import load_scenario
-from parking_sim.errors import InputError
 from parking_sim.sweep_plan import RunSpec, load_sweep, parse_seeds, run_key
+from sumo_nets.errors import InputError
 
 BASE = "base: {garage: map1, agvs: 2, plant: discrete, workload: {kind: park_exit, cars: 3}}\n"
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from controller.types import Motion, whole_steps
 from parking_sim.assembly import assemble, control_options
 from parking_sim.config import ControlConfig, check_scenario
-from parking_sim.errors import InputError
 from parking_sim.simulation import simulate
+from sumo_nets.errors import InputError
 
 milliseconds = st.integers(1, 1000)
 

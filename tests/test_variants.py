@@ -15,15 +15,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from analysis.compare import select_runs, split_choice
+from analysis.record import Recorder
 from analysis.report import page_title
 from analysis.runs import load_runs
 from analysis.sweep_report import sweep_variants, write_sweep_report
 from analysis.tables import load_run
 from analysis.variants import by_scenario, tell_apart, value_text
 from parking_sim.cli import main
-from parking_sim.errors import InputError
-from parking_sim.record import Recorder
 from parking_sim.sweep_plan import load_sweep
+from sumo_nets.errors import InputError
 
 GROUPS = st.recursive(
     st.none() | st.booleans() | st.integers(-2, 2) | st.sampled_from(["a", "b", "1", "a (1)", "", "kind"]),

@@ -42,12 +42,12 @@ from controller.executor import Executor
 from controller.fleet import FREE_MODES, Agv
 from controller.planners.cbs import Cbs, CbsLimits
 from controller.planners.lacam import Lacam, LacamOptions
+from controller.retiming import retime
 from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
 from controller.search.space import Space
 from controller.types import FOREVER, NO_AGV, AgvNumber, Log, Path, PlanAgent, PlanningProblem, Status
-from controller.visits import retime
 from sumo_nets.numbering import NO_VERTEX, Numbered
 
 #: LaCAM* may propose so many times more after each of the first climbs in vain.

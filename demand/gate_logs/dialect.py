@@ -17,7 +17,7 @@ from pathlib import Path
 import pandas as pd
 
 from demand.gate_logs.stamps import is_stamp, read_stamps
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar"}
 #: A header stands within the first lines; titles may come before it.

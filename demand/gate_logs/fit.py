@@ -7,7 +7,7 @@ import numpy as np
 from demand.gate_logs.coverage import Stretch
 from demand.gate_logs.log import GateLog
 from demand.profiles import Floats, Profile
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 _DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 #: Days of the week that a profile can be fitted to, by name.

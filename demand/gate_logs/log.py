@@ -18,7 +18,7 @@ from demand.gate_logs.coverage import Stretch, cover, ends, in_words, outages, w
 from demand.gate_logs.dialect import Dialect, read_movements
 from demand.gate_logs.mending import Move, mend
 from demand.profiles import Floats
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from controller.types import RequestKind
 from demand.csv_file import INSIDE
 from demand.gate_logs.log import GateLog
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 COLUMNS = ("time_s", "kind", "car")
 

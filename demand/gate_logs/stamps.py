@@ -9,7 +9,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pandas as pd
 
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 _STAMP = re.compile(
     r"^\s*(?:[^\W\d]{2,}\.?,?\s+)?(?P<a>\d{1,4})(?P<mark>[./-])(?P<b>\d{1,2})(?P=mark)(?P<c>\d{1,4})"

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
+from analysis.record import AgvSample
 from controller.faults import FaultReport
 from controller.types import AgvNumber, AgvState, Command, Motion, RequestNumber
 from sumo_nets.graph import Graph
@@ -32,17 +33,6 @@ class CarLeft:
 
 
 PlantEvent = CarAtBay | CarLeft | FaultReport
-
-
-@dataclass(frozen=True, slots=True)
-class AgvSample:
-    """Where an AGV is, for the trajectory table: metres, degrees counter-clockwise from east, metres a second."""
-
-    agv: AgvNumber
-    x_m: float
-    y_m: float
-    angle_deg: float
-    speed_mps: float
 
 
 @dataclass(frozen=True, slots=True)

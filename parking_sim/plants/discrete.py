@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from analysis.record import AgvSample
 from controller.types import (
     Act,
     Action,
@@ -16,7 +17,7 @@ from controller.types import (
     Motion,
     RequestNumber,
 )
-from parking_sim.plants import AgvSample, CarAtBay, CarLeft, PlantEvent
+from parking_sim.plants import CarAtBay, CarLeft, PlantEvent
 from parking_sim.rulesets import CHARGE_BELOW
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import NO_VERTEX, Numbered, NumberedList, Vertex, numbered, numbers

@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.random import Generator
 
+from analysis.record import AgvSample
 from controller.faults import IMMOBILE, FaultReport
 from controller.types import Act, Action, Advance, AgvNumber, AgvState, Command, RequestNumber, whole_steps
 from demand.types import stream
 from parking_sim.fault_config import Battery, Breakdown, FaultConfig, Slow, Stale, ZoneStop
 from parking_sim.faults import Fault, fault_stream
-from parking_sim.plants import AgvSample, Plant, PlantEvent, StreetState
+from parking_sim.plants import Plant, PlantEvent, StreetState
 from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex, numbered, numbers
 
 if TYPE_CHECKING:

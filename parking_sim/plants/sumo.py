@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.record import AgvSample
 from controller.types import (
     Act,
     Action,
@@ -38,7 +39,7 @@ from controller.types import (
     RequestNumber,
 )
 from parking_sim.footprint import Bodies
-from parking_sim.plants import AgvSample, PlantEvent, StreetState
+from parking_sim.plants import PlantEvent, StreetState
 from parking_sim.plants.sumo_agv import AgvType, sumo_motion
 from parking_sim.plants.sumo_api import PlantError, load_api
 from parking_sim.plants.sumo_customers import Customers

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 _HEADINGS = ("figure", "paper", "ours", "95 % interval", "claim holds")
 

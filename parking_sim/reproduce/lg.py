@@ -14,11 +14,11 @@ import numpy as np
 import pandas as pd
 
 from analysis.measures import interval
-from parking_sim.executors import open_executor
 from parking_sim.reproduce.findings import Finding, Verdict, findings_table, make_folder, settled, write_findings
 from parking_sim.reproduce.one_line_robots import Setting, drive
 from parking_sim.reproduce.published import published
 from parking_sim.reproduce.statistics import is_less, is_most, wilson
+from parking_sim.workers import open_executor
 
 REPEATS = 3
 #: Round trips and seeds of each form.

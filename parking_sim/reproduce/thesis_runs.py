@@ -155,7 +155,7 @@ def home_cases() -> Iterator[Case]:
 
 def run_cases(cases: Sequence[Case], workers: int, file: Path) -> pd.DataFrame:
     """Run cases in parallel processes; a row for each, in their order, which is in the file as soon as it is known."""
-    from parking_sim.executors import open_executor
+    from parking_sim.workers import open_executor
 
     rows = []
     with open_executor(workers) as executor:

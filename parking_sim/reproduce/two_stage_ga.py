@@ -20,10 +20,10 @@ from analysis.measures import Interval, interval
 from controller.genetic.evolution import Options, Stage, single_stage, two_stage
 from controller.genetic.lattice import LatticePlan, plan_genetic, random_instance
 from controller.genetic.lattice_cbs import plan_cbs
-from parking_sim.executors import open_executor
 from parking_sim.reproduce.findings import Finding, findings_table, make_folder, settled, write_findings
 from parking_sim.reproduce.published import published
 from parking_sim.reproduce.statistics import fewer, is_less, wilson
+from parking_sim.workers import open_executor
 from sumo_nets.graph import FloatArray
 
 GENERATIONS = 1000

@@ -14,7 +14,7 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPool
 from contextlib import contextmanager
 from typing import Any
 
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 _CONNECT_S = 20
 

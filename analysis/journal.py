@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from parking_sim.errors import InputError
-from parking_sim.folders import JOURNAL
-from parking_sim.record import COLUMNS, Recorder
+from analysis.record import COLUMNS, Recorder
+from analysis.run_files import JOURNAL
+from sumo_nets.errors import InputError
 
 #: Simulated seconds between two writes.
 FLUSH_S = 60.0

@@ -29,7 +29,6 @@ from controller.types import NO_AGV, AgvNumber, RequestNumber
 if TYPE_CHECKING:
     import duckdb
 
-    from parking_sim.plants import AgvSample
     from sumo_nets.graph import Graph
     from sumo_nets.numbering import Numbered, Vertex
     from sumo_nets.read import GarageNet
@@ -239,6 +238,17 @@ META: Mapping[str, tuple[str, str]] = {
     "audit": ("", "what the garage's own count of cars found wrong, in words; empty if nothing"),
     "digest": ("", "table -> SHA-256 of its rows without wall-clock columns; added by the recorder"),
 }
+
+
+@dataclass(frozen=True, slots=True)
+class AgvSample:
+    """Where an AGV is, for the trajectory table: metres, degrees counter-clockwise from east, metres a second."""
+
+    agv: AgvNumber
+    x_m: float
+    y_m: float
+    angle_deg: float
+    speed_mps: float
 
 
 @dataclass(frozen=True, slots=True)
