@@ -144,7 +144,6 @@ def run(
     from parking_sim.folders import check_folder
 
     check_folder(folder, force)
-
     from parking_sim.simulation import simulate
 
     if not quiet:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from parking_sim.errors import InputError
+from sumo_nets.errors import InputError
 
 _FOLDERS = ("examples", "scenarios")
 

@@ -21,8 +21,8 @@ BELOW = {
 }
 #: All that ``demand`` takes from ``controller``: the words of both.
 WORDS = {"controller.types"}
-#: Modules of the controller that read files (machine code of kernels, planners of users), or stop after some seconds, as
-#: the paper's conflict-based search does.
+#: Modules of the controller that read files (machine code of kernels, planners of users), or that stop after some
+#: seconds, as the paper's conflict-based search does.
 EXEMPT = {"controller.kernel", "controller.planners.table", "controller.genetic.lattice_cbs"}
 
 
