@@ -93,6 +93,10 @@ def _commands() -> Iterator[str]:
     from parking_sim.cli import app
 
     yield "# Commands\n"
+    yield (
+        "Exit codes: 0 done; 1 the run ended with work left, or a check found something; 2 bad input, with one line "
+        "that says what would be valid, and nothing written; 130 after Ctrl-C."
+    )
     yield from _command(typer.main.get_command(app), "parking-sim", None)
 
 

@@ -15,6 +15,7 @@ from analysis.run_files import RUN_FILE
 from analysis.runs import load_run
 from parking_sim import cli
 from parking_sim.demo import RUNS, comparison, complaints_of, results_table
+from parking_sim.example_files import copy_examples, example_files
 from parking_sim.folders import check_folder, clear_run
 from parking_sim.plants.discrete import DiscretePlant
 from parking_sim.plants.sumo import SumoPlant
@@ -364,10 +365,17 @@ def test_only_an_end_that_was_asked_for_is_a_success(workplace: Path, duration: 
     assert call(words("run short.yaml --out run -q --no-report")) == code
 
 
-def readme_files() -> dict[str, str]:
-    """The README's blocks that begin with a comment that names a file."""
-    text = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
-    return dict(re.findall(r"^```\w+\n# ([\w.]+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
+EXAMPLES = {path.name: path for path in example_files()}
+PAGES = ("README.md", "docs/nets.md", "docs/own_planner.md", "docs/scenarios.md")
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_shows_the_example_as_it_is(page: str) -> None:
+    text = (Path(__file__).parent.parent / page).read_text(encoding="utf-8")
+    blocks = re.findall(r"^```\w+\n# ([\w.]+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    assert blocks
+    for name, body in blocks:
+        assert EXAMPLES[name].read_text(encoding="utf-8").endswith(f"\n{body}")
 
 
 @pytest.mark.parametrize(
@@ -378,12 +386,15 @@ def readme_files() -> dict[str, str]:
         "draw-net corner.net.xml.gz --out corner.svg",
         "check-net corner.net.xml.gz",
         "run corner.net.xml.gz --agvs 2 --out corner -q",
+        "check-net loop.net.xml.gz",
+        "run loop.net.xml.gz --agvs 4 --out loop -q",
+        "check-planner own_planner.py:plan --problems 20",
     ],
 )
-def test_what_the_readme_shows_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
+def test_what_the_pages_show_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
     monkeypatch.chdir(tmp_path)
-    for name, body in readme_files().items():
-        Path(name).write_text(body, encoding="utf-8")
-    if "corner" in command:
-        assert call(["build-net", "corner.yaml"]) == 0
+    copy_examples(tmp_path)
+    for name in ("corner", "loop"):
+        if name in command:
+            assert call(["build-net", f"{name}.yaml"]) == 0
     assert call(words(command)) == 0

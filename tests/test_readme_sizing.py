@@ -1,4 +1,4 @@
-"""The README's way from a clone to a sizing answer, every command as written."""
+"""The way from a clone to a sizing answer, every command as written."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PACKAGES = ("parking_sim", "sumo_nets", "controller", "demand", "analysis")
 
 
 def commands() -> list[str]:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "sizing.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"^## From a clone to a sizing answer.*?^```sh\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     return str(block).splitlines()
 
@@ -32,7 +32,7 @@ def clone(target: Path) -> None:
 def test_five_commands_end_with_the_answer(tmp_path: Path) -> None:
     pytest.importorskip("hatchling")
     if shutil.which("python3.11") is None or sys.version_info[:2] != (3, 11):
-        pytest.skip("the README's Python is 3.11")
+        pytest.skip("the page's Python is 3.11")
     assert len(commands()) == 5
     clone(tmp_path / "clone")
     # what pip would download is there already
