@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Collection
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -93,6 +94,11 @@ class _Memory(NamedTuple):
 
 
 NODES, SIZE, GENERATION, BLOCKER = 0, 1, 2, 3
+
+#: Where the parts begin in the plain tuple of arrays that the kernels are handed: ``Reserved`` (at 0), ``Field``,
+#: ``Bounds``, ``Lanes``, three single arrays, ``_Memory``. See ``PathSearch._run`` and ``PathSearch._remember``.
+_FIELD, _BOUNDS, _LANES, _BLOCKED = accumulate(len(part._fields) for part in (Reserved, Field, Bounds, Lanes))
+_NO_REST, _COUNTERS, _MEMORY = _BLOCKED + 1, _BLOCKED + 2, _BLOCKED + 3
 
 
 class PathSearch:
@@ -229,8 +235,9 @@ def _new_memory(nodes: int, vertices: int) -> _Memory:
 def _find(query: IntArray, bans: IntArray, arrays: tuple[Any, ...]) -> int:
     """:func:`_sipp` for arrays in a plain tuple: numba takes long to look at each named one that it is handed."""
     return _sipp(
-        query, bans, Reserved(*arrays[:5]), Field(*arrays[5:9]), Bounds(*arrays[9:11]), Lanes(*arrays[11:21]),
-        arrays[21], arrays[22], arrays[23], _Memory(*arrays[24:]),
+        query, bans, Reserved(*arrays[:_FIELD]), Field(*arrays[_FIELD:_BOUNDS]), Bounds(*arrays[_BOUNDS:_LANES]),
+        Lanes(*arrays[_LANES:_BLOCKED]), arrays[_BLOCKED], arrays[_NO_REST], arrays[_COUNTERS],
+        _Memory(*arrays[_MEMORY:]),
     )  # fmt: skip
 
 
@@ -238,7 +245,7 @@ def _find(query: IntArray, bans: IntArray, arrays: tuple[Any, ...]) -> int:
 def _find_and_reserve(query: IntArray, bans: IntArray, arrays: tuple[Any, ...]) -> int:
     """Step of arrival of the path that has been found and reserved, or NONE, FULL, LIMIT or CROWDED."""
     last = _find(query, bans, arrays)
-    return last if last < 0 else _reserve(last, query, _Memory(*arrays[24:]).nodes, Reserved(*arrays[:5]))
+    return last if last < 0 else _reserve(last, query, _Memory(*arrays[_MEMORY:]).nodes, Reserved(*arrays[:_FIELD]))
 
 
 @kernel
