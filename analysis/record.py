@@ -5,7 +5,7 @@ columns only when the run is written. The order of rows is the order in which th
 one thread, and columns of wall-clock time start with ``wall_``: two runs of one scenario and seed write the same bytes
 but for these.
 
-``COLUMNS`` explains every column, ``KINDS`` every kind of event and what its detail holds, ``META`` the keys of
+``COLUMNS`` explains every column, ``EVENTS`` every kind of event and what its detail holds, ``META`` the keys of
 ``run.json`` that the analysis reads.
 """
 
@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.events import KINDS, EventKind
 from controller.types import NO_AGV, AgvNumber, RequestNumber
 
 if TYPE_CHECKING:
@@ -44,11 +45,11 @@ _CAR = ("car", "VARCHAR", "", "name of the car, empty for none")
 _SCHEMA: Mapping[str, tuple[tuple[str, str, str, str], ...]] = {
     "events": (
         _TIME,
-        ("kind", "VARCHAR", "", "what happened, one of KINDS"),
+        ("kind", "VARCHAR", "", "what happened, one of controller.events.KINDS"),
         _AGV,
         _CAR,
         ("vertex", "VARCHAR", "", "name of the vertex where it happened, empty for none"),
-        ("detail", "VARCHAR", "", "JSON object with sorted keys, its keys as KINDS says; empty for none"),
+        ("detail", "VARCHAR", "", "JSON object with sorted keys, keys as in controller.events.KINDS; empty for none"),
     ),
     "tasks": (
         ("request", "INTEGER", "", "number of the request, in the order in which requests were made"),
@@ -161,50 +162,11 @@ COLUMNS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     table: {name: (unit, meaning) for name, _, unit, meaning in columns} for table, columns in _SCHEMA.items()
 }
 
-#: Kind of event -> what happened, and the keys of its detail.
-KINDS: Mapping[str, str] = {
-    "car_initial": "a car stands in a slot before the run starts",
-    "request_made": "a customer asks: request (number), what (park or retrieve)",
-    "turned_away": "a customer who comes with a car is turned away: request, reason",
-    "request_void": "a request means nothing: request, reason",
-    "car_at_bay": "a customer's car stands at a bay: request",
-    "car_ready": "the customer has left the car, it may be lifted: request",
-    "task_assigned": "an AGV gets a task: request, origin, destination",
-    "lift": "a car is on the AGV: request",
-    "lower": "a car is lowered: request",
-    "task_done": "a request is served: request",
-    "car_left": "a retrieved car has left the garage: request",
-    "agv_mode": "an AGV changes its state: from, to",
-    "plan_partial": "a planning call left agents without a path: failed (AGV numbers)",
-    "reordered": "an AGV goes before one that is late: before (its number), gain_moves (of all together)",
-    "plan_rejected": "a plan was refused by the executor's check: reason",
-    "deadlock_found": "AGVs wait for each other or come no nearer to their goals: deadlock (number), members (AGV "
-    "numbers), cause (ring, idle or stuck), waits (AGV -> AGV it waits for), wants (AGV -> name of the first vertex "
-    "on its way that is held), holds (AGV -> names of its vertices), goals (AGV -> name), since_s (when the wait "
-    "began)",
-    "deadlock_resolved": "a deadlock is over: deadlock, members, cause, stage (what resolved it), "
-    "cost_s (seconds since the wait began)",
-    "obstruction_found": "an AGV that a fault cuts off from its goal stands in the way of others: obstruction "
-    "(number), and the keys of deadlock_found but for deadlock",
-    "obstruction_resolved": "the others have got on: obstruction, members, cause, stage, cost_s",
-    "homes_exchanged": "AGVs without a task take over each other's homes to end a deadlock: deadlock or obstruction "
-    "(number), homes (AGV -> name of its new home)",
-    "stage_failed": "a stage of a deadlock's resolution made no progress: deadlock, stage, reason",
-    "held": "an AGV has waited for control.stuck_s, or the cause of this wait has changed: cause (one of "
-    "controller.holds.Cause), chain (AGV numbers: it waits for the first, that one for the next), faults (numbers at "
-    "the root), request (number, -1 for none), since_s (when the wait began); its vertex is the place concerned",
-    "held_end": "a wait that was held is over: cause (the last one), waited_s",
-    "charge_wait": "an AGV has to charge, and no charger is free: soc",
-    "charge_start": "an AGV starts to charge: soc",
-    "charge_end": "an AGV ends charging: soc",
-    "grant": "an AGV may drive on (recorded on request): vertices",
-    "overlap": "the footprints of two bodies overlap: others (AGV numbers or cars), clearance_m",
-    "turn_under_car": "an empty AGV turns under a parked car in a slot too short to drive straight out of",
-    "collision": "SUMO reports a collision: others",
-    "task_returned": "a broken AGV, or one whose goal is closed, gives its task back: request",
-    "fault_start": "something goes wrong, see parking_sim.fault_config: fault (number), cause, agvs (AGV numbers), "
-    "vertices (row numbers in vertices)",
-    "fault_end": "it is over: fault, cause",
+#: Kinds of event, and the keys of their details as ``kind.key`` -> (unit, meaning), as in ``COLUMNS``.
+EVENTS: Mapping[str, tuple[str, str]] = {
+    name: ("", meaning)
+    for kind, what in KINDS.items()
+    for name, meaning in [(kind, what.meaning), *((f"{kind}.{key}", text) for key, text in what.keys.items())]
 }
 
 #: Keys of ``run.json`` that the analysis knows -> (unit, meaning). Others are kept and shown as they are. Keys that
@@ -291,8 +253,29 @@ class AgvRow:
     energy_wh: float = 0.0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanningRow:
+    """One planning call; the fields are the columns of ``COLUMNS["planning"]``."""
+
+    time_s: float
+    agents: int
+    status: str
+    window_steps: int
+    expanded: int
+    heap_moves: int
+    generated: int
+    valid: int
+    slot_choice: int = 0
+    wall_ms: float
+    window_cells: int = 0
+    score: int = 0
+    wait_edges: int = 0
+    rings: int = 0
+
+
 _task_values = attrgetter(*(f.name for f in fields(TaskRow)))
 _agv_values = attrgetter(*(f.name for f in fields(AgvRow)))
+_planning_values = attrgetter(*(f.name for f in fields(PlanningRow)))
 
 
 def _plain(value: object) -> object:
@@ -316,13 +299,13 @@ class Recorder:
         self._samples = self._rows["trajectory"].extend
 
     def event(
-        self, time_s: float, kind: str, agv: AgvNumber = NO_AGV, car: str = "", vertex: str = "", **detail: object
+        self, time_s: float, kind: EventKind, agv: AgvNumber = NO_AGV, car: str = "", vertex: str = "", **detail: object
     ) -> None:
         """Something happened.
 
         Args:
             time_s: simulated seconds.
-            kind: one of ``KINDS``.
+            kind: one of ``controller.events.KINDS``.
             agv: number of the AGV, -1 for none.
             car: name of the car.
             vertex: name of the vertex.
@@ -369,27 +352,9 @@ class Recorder:
         """Counts at one moment; each holds until the next one. See ``COLUMNS["timeline"]``."""
         self._rows["timeline"].append((time_s, queue, spilled, parked, waiting_requests, active_agvs))
 
-    def planning(
-        self,
-        time_s: float,
-        agents: int,
-        status: str,
-        window_steps: int,
-        expanded: int,
-        heap_moves: int,
-        generated: int,
-        valid: int,
-        wall_ms: float,
-        slot_choice: int = 0,
-        window_cells: int = 0,
-        score: int = 0,
-        wait_edges: int = 0,
-        rings: int = 0,
-    ) -> None:
-        """One planning call. See ``COLUMNS["planning"]``."""
-        work = expanded, heap_moves, generated, valid, slot_choice
-        window = window_cells, score, wait_edges, rings
-        self._rows["planning"].append((time_s, agents, status, window_steps, *work, wall_ms, *window))
+    def planning(self, row: PlanningRow) -> None:
+        """One planning call."""
+        self._rows["planning"].append(_planning_values(row))
 
     def floor(self, graph: Graph) -> None:
         """The garage, once per run: with it a record can be drawn and replayed by itself."""

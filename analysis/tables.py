@@ -115,7 +115,7 @@ class Run:
         """The events of one kind, with the keys of their detail as columns instead of ``detail``.
 
         Args:
-            kind: one of ``analysis.record.KINDS``.
+            kind: one of ``controller.events.KINDS``.
 
         Returns:
             Rows in the order of the record; without rows only the fixed columns are there.

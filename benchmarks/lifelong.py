@@ -26,6 +26,7 @@ from rows import give_out
 
 from controller.costs import Costs
 from controller.deadlock.ladder import LadderLimits
+from controller.events import Event
 from controller.executor import Executor
 from controller.flags import flags_of
 from controller.fleet import Agv
@@ -199,8 +200,8 @@ class Lifelong:
         self.trips.append((self.executor.agvs[agv.number].last, agv.goal))
         self.planning.goal_changed()
 
-    def _log(self, kind: str, agv: AgvNumber, car: str, vertex: Vertex, detail: dict[str, object]) -> None:
-        self.events[kind] = self.events.get(kind, 0) + 1
+    def _log(self, event: Event) -> None:
+        self.events[event.kind] = self.events.get(event.kind, 0) + 1
 
 
 RULES = Rules(

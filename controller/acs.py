@@ -15,6 +15,7 @@ from controller.charging import Charging
 from controller.claims import Claims
 from controller.costs import Costs
 from controller.dispatch import Offer, Rule
+from controller.events import Event, Log
 from controller.executor import Executor
 from controller.faults import CLOSING, FaultReport, Outages
 from controller.fleet import FREE_MODES, Agv
@@ -23,7 +24,7 @@ from controller.holds import Holds
 from controller.places import choose_slot
 from controller.planning import ControlOptions, Mask, Planning
 from controller.rules import Rules
-from controller.types import NO_AGV, NO_REQUEST, Action, AgvMode, AgvNumber, AgvState, Command, Log, Motion, Planner
+from controller.types import NO_AGV, NO_REQUEST, Action, AgvMode, AgvNumber, AgvState, Command, Motion, Planner
 from controller.wait_log import WaitLog
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex, numbered
@@ -147,7 +148,7 @@ class Acs:
                 self.garage.lower_starts(task)
                 self._act(agv, Action.LOWER, self.rules.lower_slot if at_slot else self.rules.lower_bay)
         elif agv.mode is AgvMode.GOING_TO_CHARGE:
-            self.log("charge_start", agv.number, "", agv.goal, {"soc": round(agv.soc, 4)})
+            self.log(Event("charge_start", agv.number, vertex=agv.goal, detail={"soc": round(agv.soc, 4)}))
             self._set_mode(agv, AgvMode.CHARGING)
             self._act(agv, Action.CHARGE, self.rules.charging_steps(agv.soc))
         elif agv.mode in (AgvMode.RETURNING_HOME_EMPTY, AgvMode.RETURNING_HOME_MAINTENANCE):
@@ -167,7 +168,7 @@ class Acs:
         action, agv.action = agv.action, None
         agv.then = NO_VERTEX
         if action is Action.CHARGE:
-            self.log("charge_end", agv.number, "", agv.goal, {"soc": round(agv.soc, 4)})
+            self.log(Event("charge_end", agv.number, vertex=agv.goal, detail={"soc": round(agv.soc, 4)}))
             self._charging.charged(agv)
             self._release(agv)
             self._set_mode(agv, AgvMode.RETURNING_HOME_MAINTENANCE)
@@ -180,7 +181,7 @@ class Acs:
     def _lifted(self, agv: Agv, task: Task) -> None:
         self.garage.lifted(task, self._now_s)
         self.executor.agvs[agv.number].loaded = True
-        self.log("lift", agv.number, task.car, agv.goal, {"request": task.number})
+        self.log(Event("lift", agv.number, task.car, agv.goal, {"request": task.number}))
         self._release(agv)
         if task.is_park:
             self._set_mode(agv, AgvMode.GOING_TO_PARK)
@@ -228,9 +229,9 @@ class Acs:
     def _lowered(self, agv: Agv, task: Task) -> None:
         self._commands += self.garage.lowered(task, self._now_s)
         self.executor.agvs[agv.number].loaded = False
-        self.log("lower", agv.number, task.car, agv.goal, {"request": task.number})
+        self.log(Event("lower", agv.number, task.car, agv.goal, {"request": task.number}))
         if task.state == "served":
-            self.log("task_done", agv.number, task.car, agv.goal, {"request": task.number})
+            self.log(Event("task_done", agv.number, task.car, agv.goal, {"request": task.number}))
         self._release(agv)
         self._charging.task_done(agv)
         agv.tasks_done += 1
@@ -305,7 +306,7 @@ class Acs:
             self._claims.holder[origin] = agv.number
         names = self.graph.names
         detail = {"request": task.number, "origin": names[origin], "destination": names[slot] if slot >= 0 else ""}
-        self.log("task_assigned", agv.number, task.car, origin, detail)
+        self.log(Event("task_assigned", agv.number, task.car, origin, detail))
         self._set_mode(agv, AgvMode.GOING_TO_COLLECT)
         self._set_goal(agv, origin)
         a = self.executor.agvs[agv.number]
@@ -319,7 +320,7 @@ class Acs:
 
     def _set_mode(self, agv: Agv, mode: AgvMode) -> None:
         if agv.mode is not mode:
-            self.log("agv_mode", agv.number, "", NO_VERTEX, {"from": agv.mode.value, "to": mode.value})
+            self.log(Event("agv_mode", agv.number, detail={"from": agv.mode.value, "to": mode.value}))
             agv.mode = mode
             self._attend.add(agv.number)
 
@@ -366,7 +367,7 @@ class Acs:
             self._release(agv)
             self.garage.unassign(task)
             agv.task = None
-            self.log("task_returned", agv.number, task.car, NO_VERTEX, {"request": task.number})
+            self.log(Event("task_returned", agv.number, task.car, detail={"request": task.number}))
         elif agv.mode is AgvMode.GOING_TO_CHARGE:
             self._release(agv)
             self._charging.has_to_wait(agv)

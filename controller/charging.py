@@ -23,13 +23,14 @@ from dataclasses import dataclass, field
 
 from controller.claims import Claims
 from controller.costs import Costs
+from controller.events import Event, Log
 from controller.executor import Executor
 from controller.faults import Outages
 from controller.fleet import FREE_MODES, Agv
 from controller.garage import Garage
 from controller.rules import Rules
-from controller.types import FOREVER, AgvMode, AgvNumber, AgvState, Log
-from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex
+from controller.types import FOREVER, AgvMode, AgvNumber, AgvState
+from sumo_nets.numbering import Numbered, Vertex
 
 #: A task needs so many times what ways as long have taken on average.
 MARGIN = 1.5
@@ -171,7 +172,7 @@ class Charging:
     def _queue(self, agv: Agv) -> None:
         if self.rules.by_charge and agv.number not in self._queued:
             self._queued[agv.number] = self._step
-            self.log("charge_wait", agv.number, "", NO_VERTEX, {"soc": round(agv.soc, 4)})
+            self.log(Event("charge_wait", agv.number, detail={"soc": round(agv.soc, 4)}))
 
     def _early(self) -> list[Agv]:
         """The emptiest AGV that may go, if it has to charge before it is due."""

@@ -12,6 +12,7 @@ from controller.costs import Costs
 from controller.deadlock.cut_off import find_cut_off
 from controller.deadlock.ladder import Ladder, LadderLimits
 from controller.deadlock.waits import Progress, wait_graph
+from controller.events import Event, Log
 from controller.executor import Executor
 from controller.flags import flags_of
 from controller.fleet import Agv, StuckBoost, priority
@@ -21,12 +22,10 @@ from controller.retiming import retime
 from controller.rules import Rules
 from controller.types import (
     FOREVER,
-    NO_AGV,
     TRAIL,
     AgvMode,
     AgvNumber,
     Counters,
-    Log,
     Path,
     PlanAgent,
     Planner,
@@ -34,7 +33,7 @@ from controller.types import (
     PlanResult,
 )
 from controller.window import Window, WindowRange, WindowRule, count_sccs
-from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex, numbered
+from sumo_nets.numbering import Numbered, Vertex, numbered
 
 Mask = NDArray[np.uint8]
 
@@ -232,7 +231,8 @@ class Planning:
     def _reorder(self, step: int) -> None:
         cell = self._rules.cell_steps
         for first, behind, gain in reorder(self._executor, step, cell, self._ladder.locked):
-            self._log("reordered", first, "", NO_VERTEX, {"before": behind, "gain_moves": round(gain / cell, 2)})
+            detail = {"before": behind, "gain_moves": round(gain / cell, 2)}
+            self._log(Event("reordered", first, detail=detail))
 
     def _under_way(self) -> bool:
         if self._ladder.resolving:
@@ -282,15 +282,27 @@ class Planning:
         goal = a.last if agv.heads_for in self._executor.closed else agv.heads_for
         rank = priority(agv, stuck, self._boost)
         avoids = self._rules.empty_avoid_slots and agv.mode is AgvMode.RETURNING_HOME_EMPTY
-        return PlanAgent(agv.number, a.last, a.in_edge, ready, goal, a.leaves_loaded, dwell, rank, a.turned_to, avoids)
+        return PlanAgent(
+            agv=agv.number,
+            vertex=a.last,
+            in_edge=a.in_edge,
+            ready_step=ready,
+            goal=goal,
+            loaded=a.leaves_loaded,
+            dwell_steps=dwell,
+            priority=rank,
+            turned_to=a.turned_to,
+            avoids_slots=avoids,
+        )
 
     def _take(self, step: int, problem: PlanningProblem, result: PlanResult) -> None:
         paths = {path.agv: path for path in problem.fixed if path.agv < TRAIL} | dict(result.paths)
         refusal = self._executor.accept(paths)
         if refusal:
-            self._log("plan_rejected", refusal.agents[0], "", refusal.vertex, {"reason": refusal.reason})
+            detail = {"reason": refusal.reason}
+            self._log(Event("plan_rejected", refusal.agents[0], vertex=refusal.vertex, detail=detail))
         elif result.failed:
-            self._log("plan_partial", NO_AGV, "", NO_VERTEX, {"failed": sorted(result.failed)})
+            self._log(Event("plan_partial", detail={"failed": sorted(result.failed)}))
 
     def _watch(self, step: int, problem: PlanningProblem) -> tuple[int, int]:
         """Have deadlocks among those who really wait resolved; how many wait, and in how many rings."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
 from typing import Final, NewType
 
@@ -21,9 +21,6 @@ from sumo_nets.numbering import NO_VERTEX, EdgeIndex, Vertex, numbered
 #: Number of an AGV, and of its agent in planning: its position in the fleet.
 AgvNumber = NewType("AgvNumber", int)
 NO_AGV: Final = AgvNumber(-1)
-
-#: How events leave the controller: kind, AGV (or ``NO_AGV``), car, vertex (or ``NO_VERTEX``), details.
-Log = Callable[[str, AgvNumber, str, Vertex, dict[str, object]], None]
 
 #: Number of a request, and of its task: its position among all requests of the run.
 RequestNumber = NewType("RequestNumber", int)
@@ -248,6 +245,7 @@ class PlanAgent:
     ready_step: int
     goal: Vertex
     loaded: bool
+    _: KW_ONLY
     dwell_steps: int = 0
     priority: int = 0
     turned_to: Vertex = NO_VERTEX

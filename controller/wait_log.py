@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from controller.events import Event, Log
 from controller.executor import Executor
 from controller.fleet import Agv
 from controller.holds import Hold, Holds
-from controller.types import AgvNumber, Log
-from sumo_nets.numbering import NO_VERTEX, Numbered, NumberedList, numbered
+from controller.types import AgvNumber
+from sumo_nets.numbering import Numbered, NumberedList, numbered
 
 #: A long wait is looked at anew so often while it lasts: its least length divided by this.
 LOOKS = 12
@@ -73,11 +74,12 @@ class WaitLog:
         task = self._agvs[hold.agv].task
         since_s = since * self._executor.motion.step_s
         detail = {**hold_detail(hold), "since_s": since_s}
-        self._log("held", hold.agv, task.car if task else "", hold.vertex, detail)
+        self._log(Event("held", hold.agv, task.car if task else "", hold.vertex, detail))
 
     def _end(self, wait: _Wait, agv: Agv, step: int) -> None:
         waited_s = (step - wait.since) * self._executor.motion.step_s
-        self._log("held_end", agv.number, "", NO_VERTEX, {"cause": wait.hold.cause.value, "waited_s": waited_s})
+        detail = {"cause": wait.hold.cause.value, "waited_s": waited_s}
+        self._log(Event("held_end", agv.number, detail=detail))
 
 
 def hold_detail(hold: Hold) -> Mapping[str, object]:

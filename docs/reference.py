@@ -77,11 +77,11 @@ def _type(field: Mapping[str, Any]) -> str:
 
 def _columns() -> Iterator[str]:
     from analysis.metrics import METRICS
-    from analysis.record import COLUMNS
+    from analysis.record import COLUMNS, EVENTS
     from parking_sim.columns import run_columns
 
     yield "# Columns and metrics\n"
-    for table, entries in {**COLUMNS, "metrics": METRICS, "runs": run_columns()}.items():
+    for table, entries in {**COLUMNS, "kinds": EVENTS, "metrics": METRICS, "runs": run_columns()}.items():
         yield f"\n## {table}\n\n| name | unit | meaning |\n|---|---|---|"
         for name, (unit, meaning) in entries.items():
             yield f"| `{name}` | {unit} | {_cell(meaning)} |"

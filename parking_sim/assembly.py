@@ -12,13 +12,14 @@ import numpy as np
 from controller.acs import Acs, Setup
 from controller.deadlock.ladder import LadderLimits
 from controller.dispatch import DISPATCH
+from controller.events import Log
 from controller.fleet import StuckBoost
 from controller.garage import Customers, Garage
 from controller.planners.cbs import CbsLimits
 from controller.planners.table import load_planner
 from controller.planning import ControlOptions
 from controller.rules import Rules
-from controller.types import AgvNumber, Log, Motion, whole_steps
+from controller.types import AgvNumber, Motion, whole_steps
 from controller.window import WindowRule
 from demand.types import Demand, stream
 from demand.workloads import make_demand

@@ -375,10 +375,10 @@ def schema() -> None:
 def columns() -> None:
     """Explain every column of a record's tables and every metric: table, name, unit, meaning, separated by tabs."""
     from analysis.metrics import METRICS
-    from analysis.record import COLUMNS
+    from analysis.record import COLUMNS, EVENTS
     from parking_sim.columns import run_columns
 
-    for table, entries in {**COLUMNS, "metrics": METRICS, "runs": run_columns()}.items():
+    for table, entries in {**COLUMNS, "kinds": EVENTS, "metrics": METRICS, "runs": run_columns()}.items():
         for name, (unit, meaning) in entries.items():
             print(table, name, unit, meaning, sep="\t")
 

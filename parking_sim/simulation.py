@@ -8,43 +8,38 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Literal
 
 from parking_sim.shadowing import require_own_packages
 
 require_own_packages()  # before a file of the user's own can be taken for one of the packages below
 
 from analysis.journal import FLUSH_S, Journal
-from analysis.record import AgvRow, Recorder, TaskRow
+from analysis.record import AgvRow, PlanningRow, Recorder
+from controller.events import Event, EventKind
 from controller.faults import REPORTED, FaultReport
 from controller.garage import Task
-from controller.types import NO_AGV, Action, Advance, AgvMode, AgvNumber, Request, whole_steps
+from controller.planning import PlanningCall
+from controller.types import NO_AGV, Advance, AgvMode, AgvNumber, Request, whole_steps
+from parking_sim.accounts import Accounts
 from parking_sim.assembly import World, assemble
+from parking_sim.closing import held_work, task_row
 from parking_sim.config import Scenario
 from parking_sim.folders import clear_run
 from parking_sim.inputs import Inputs, kept_net, read_inputs, write_inputs
 from parking_sim.plants import CarAtBay
-from parking_sim.plants.faulty import FaultyPlant
+from parking_sim.standstill import Standstill
 from parking_sim.versions import code_version, versions
-from sumo_nets.numbering import NO_VERTEX, Numbered, NumberedList, Vertex, numbered
-from sumo_nets.under_cars import cramped_slots
+from sumo_nets.numbering import NO_VERTEX, NumberedList, Vertex, numbered
 
 if TYPE_CHECKING:
-    from parking_sim.footprint import FootprintCheck
-
-#: Simulated seconds without any task done or vertex granted, with work to do, after which a run is given up, unless a
-#: fault is the reason and will end.
-STALLED_S = 7200.0
-
-#: Simulated seconds between two looks at whether a run in which nothing moves can go on.
-LOOK_S = 10.0
+    from parking_sim.watch import FootprintWatch
 
 #: Wall-clock seconds between two calls of ``progress``.
 PROGRESS_S = 0.2
 
-_ACTIVITY_OF = {Action.TURN: "turning", Action.LIFT: "lifting", Action.LOWER: "lowering", Action.CHARGE: "charging"}
+#: How a run ends. With "time_limit" its duration or limit is over.
+Ended = Literal["finished", "time_limit", "stalled", "interrupted"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +80,7 @@ class Summary:
         0
     """
 
-    status: str
+    status: Ended
     metrics: Mapping[str, Any]
     folder: Path | None
     failed: tuple[str, ...] = ()
@@ -201,26 +196,19 @@ class RunLoop:
         self._phase = -1
         self._pending: list[Request] = []
         self._phase_start_s = 0.0
-        self._activity: Numbered[AgvNumber, dict[str, int]] = [dict.fromkeys(_ACTIVITIES, 0) for _ in self.acs.agvs]
-        self._wall = dict.fromkeys(("plant", "control", "planning", "check", "record"), 0.0)
         self._last_task = -1
-        self._moved = (0, 0, 0)
-        self._moved_s = 0.0
         self._ready: list[Task] = []
         no_plan: tuple[int, tuple[Vertex, ...]] = (0, ())
         self._plans: NumberedList[AgvNumber, tuple[int, tuple[Vertex, ...]]] = [no_plan] * len(self.acs.agvs)
-        self._overlaps = self._turns = 0
-        self._look_every = max(1, round(LOOK_S / self.step_s))
         self._end_s = world.scenario.duration_s or world.scenario.max_time_s
         self._sample_every = whole_steps(world.scenario.record.sample_s, self.step_s)
         self._flush_every = whole_steps(FLUSH_S, self.step_s)
         self._log_grants = world.scenario.record.grants
-        self._soc: NumberedList[AgvNumber, float] = [1.0] * len(self.acs.agvs)
-        self._drawn: NumberedList[AgvNumber, float] = [0.0] * len(self.acs.agvs)
-        self._footprint: FootprintCheck | None = None
-        self._cramped = cramped_slots(world.net.graph, world.scenario.agv.length_m)
+        self._watch: FootprintWatch | None = None
+        self._accounts = Accounts(len(self.acs.agvs), world.motion)
+        self._standstill = Standstill(self.acs, self.garage, world.scenario.control.stuck_s, self.step_s)
         for car, slot in self.garage.parked.items():
-            self._log("car_initial", NO_AGV, car, slot, {})
+            self._log(Event("car_initial", car=car, vertex=slot))
 
     @property
     def now_s(self) -> float:
@@ -230,16 +218,15 @@ class RunLoop:
     @contextmanager
     def started(self, gui: bool, fcd: bool) -> Iterator[None]:
         """The plant, closed at the end whatever happens."""
-        self._start = perf_counter()
+        self._accounts.begin()
         plant = self.world.plant(self.out, gui, fcd or self.world.scenario.record.fcd)
         self._plant_start_s = plant.time_s
         self.plant = self.world.with_faults(plant)
-        self._faults = self.plant if isinstance(self.plant, FaultyPlant) else None
         if plant.bodies() is not None:
-            from parking_sim.footprint import FootprintCheck
+            from parking_sim.watch import FootprintWatch
 
-            self._footprint = FootprintCheck()
-            self._park_initial(self._footprint)
+            agv = self.world.scenario.agv
+            self._watch = FootprintWatch(self.world.net, self.garage, agv.length_m, agv.width_m)
         try:
             yield
         finally:
@@ -247,7 +234,7 @@ class RunLoop:
 
     # --- the loop -------------------------------------------------------------------------------------------------
 
-    def loop(self) -> str:
+    def loop(self) -> Ended:
         """Step until everything is done or time is up; returns the status."""
         try:
             while not (status := self.advance()):
@@ -256,64 +243,64 @@ class RunLoop:
             return "interrupted"
         return status
 
-    def advance(self) -> str:
-        """Take one step; returns how the run has ended, "" while it goes on."""
+    def advance(self) -> Ended | None:
+        """Take one step; returns how the run has ended, None while it goes on."""
         self._customers()
-        if status := self._status(self._end_s):
+        if status := self._status():
             self._sample()
             return status
         self._control()
         if self.step % self._sample_every == 0:
             self._sample()
-        t = perf_counter()
-        self.plant.step()
-        self._wall["plant"] += perf_counter() - t
+        with self._accounts.timed("plant"):
+            self.plant.step()
         self.step += 1
         self._check()
         if self.journal is not None and self.step % self._flush_every == 0:
             self.journal.flush(self.recorder, self.now_s)
         if self.step % 256 == 0:
             self._tell()
-        return ""
+        return None
 
-    def _status(self, end_s: float) -> str:
-        """How the run has ended, "" while it goes on."""
+    def _status(self) -> Ended | None:
+        """How the run has ended, None while it goes on."""
         if self._finished():
             return "finished"
-        if self.now_s >= end_s:
+        if self.now_s >= self._end_s:
             return "time_limit"
-        return "stalled" if self._stalled(end_s) else ""
+        return "stalled" if self._stalled() else None
 
     def _control(self) -> None:
-        t = perf_counter()
-        commands = self.acs.step(self.step, self.plant.states())
-        for command in commands:
-            self.plant.execute(command)
-            if self._log_grants and isinstance(command, Advance):
-                granted = [self.names[v] for v in command.vertices]
-                self._log("grant", command.agv, "", command.vertices[-1], {"vertices": granted})
-        self._wall["control"] += perf_counter() - t
-        t = perf_counter()
-        for call in self.acs.planning.take_calls():
-            c = call.counters
-            self._wall["planning"] += call.wall_s
-            self.recorder.planning(
-                self.now_s, call.agents, call.status, call.window_steps, c.expanded, c.heap_moves, c.generated,
-                c.valid, call.wall_s * 1000.0, c.slot_choice, call.window_cells, call.score, call.wait_edges,
-                call.rings,
-            )  # fmt: skip
-        self._account()
-        self._wall["record"] += perf_counter() - t
+        with self._accounts.timed("control"):
+            for command in self.acs.step(self.step, self.plant.states()):
+                self.plant.execute(command)
+                if self._log_grants and isinstance(command, Advance):
+                    granted = [self.names[v] for v in command.vertices]
+                    self._log(Event("grant", command.agv, vertex=command.vertices[-1], detail={"vertices": granted}))
+        with self._accounts.timed("record"):
+            for call in self.acs.planning.take_calls():
+                self._accounts.planned(call.wall_s)
+                self.recorder.planning(self._planning_row(call))
+            self._accounts.count(self.acs)
 
-    def _account(self) -> None:
-        """Count what each AGV does in this step."""
-        for agv, a, row in zip(self.acs.agvs, self.acs.executor.agvs, self._activity, strict=True):
-            if a.acting is not None:
-                row[_ACTIVITY_OF[a.acting]] += 1
-            elif not a.standing:
-                row["loaded" if a.loaded else "empty"] += 1
-            else:
-                row["idle" if agv.mode is AgvMode.IDLE else "waiting"] += 1
+    def _planning_row(self, call: PlanningCall) -> PlanningRow:
+        work = call.counters
+        return PlanningRow(
+            time_s=self.now_s,
+            agents=call.agents,
+            status=call.status,
+            window_steps=call.window_steps,
+            expanded=work.expanded,
+            heap_moves=work.heap_moves,
+            generated=work.generated,
+            valid=work.valid,
+            slot_choice=work.slot_choice,
+            wall_ms=call.wall_s * 1000.0,
+            window_cells=call.window_cells,
+            score=call.score,
+            wait_edges=call.wait_edges,
+            rings=call.rings,
+        )
 
     # --- customers ------------------------------------------------------------------------------------------------
 
@@ -323,16 +310,16 @@ class RunLoop:
             if isinstance(event, CarAtBay):
                 task = self.garage.car_at_bay(event.request, event.bay, self.now_s)
                 self._ready.append(task)
-                self._log("car_at_bay", NO_AGV, task.car, event.bay, {"request": task.number})
+                self._log(Event("car_at_bay", NO_AGV, task.car, event.bay, {"request": task.number}))
             elif isinstance(event, FaultReport):
                 self._fault(event)
             else:
                 task = self.garage.car_left(event.request, event.bay, self.now_s)
-                self._log("car_left", NO_AGV, task.car, event.bay, {"request": task.number})
-                self._log("task_done", task.agv, task.car, event.bay, {"request": task.number})
+                self._log(Event("car_left", NO_AGV, task.car, event.bay, {"request": task.number}))
+                self._log(Event("task_done", task.agv, task.car, event.bay, {"request": task.number}))
         for task in [j for j in self._ready if j.ready_s <= self.now_s]:
             self._ready.remove(task)
-            self._log("car_ready", NO_AGV, task.car, task.origin, {"request": task.number})
+            self._log(Event("car_ready", NO_AGV, task.car, task.origin, {"request": task.number}))
         if not self._pending and self.garage.unfinished == 0:
             self._next_phase()
         while self._pending and self._pending[-1].time_s + self._phase_start_s <= self.now_s:
@@ -344,10 +331,10 @@ class RunLoop:
         if fault.started:
             detail |= {"agvs": fault.agvs, "vertices": fault.vertices}
         agv, vertex = (*fault.agvs, NO_AGV)[0], (*fault.vertices, NO_VERTEX)[0]
-        self._log("fault_start" if fault.started else "fault_end", agv, "", vertex, detail)
+        self._log(Event("fault_start" if fault.started else "fault_end", agv, vertex=vertex, detail=detail))
         if fault.kind in REPORTED:
             if not fault.started and any(fault.number in hold.faults for hold in self.acs.holds.of_all()):
-                self._moved_s = self.now_s  # what the fault held needs its time now
+                self._standstill.moved(self.now_s)  # what the fault held needs its time now
             self.acs.report(fault)
 
     def _next_phase(self) -> None:
@@ -358,10 +345,11 @@ class RunLoop:
 
     def _request(self, request: Request) -> None:
         task = self.garage.request(request, self.now_s)
-        self._log("request_made", NO_AGV, task.car, NO_VERTEX, {"request": task.number, "what": request.kind.value})
+        self._log(Event("request_made", car=task.car, detail={"request": task.number, "what": request.kind.value}))
         if task.reason:
-            kind = "turned_away" if task.state == "turned_away" else "request_void"
-            self._log(kind, NO_AGV, task.car, NO_VERTEX, {"request": task.number, "reason": task.reason})
+            detail = {"request": task.number, "reason": task.reason}
+            kind: EventKind = "turned_away" if task.state == "turned_away" else "request_void"
+            self._log(Event(kind, car=task.car, detail=detail))
         elif task.is_park and self.garage.handover == "bay":
             self.plant.arrive(task.number)
 
@@ -376,60 +364,33 @@ class RunLoop:
         idle = all(agv.mode is AgvMode.IDLE for agv in self.acs.agvs)
         return idle or self.step - self._last_task >= self.world.rules.run_on_steps
 
-    def _stalled(self, end_s: float) -> bool:
-        """No request is to come, and nothing has moved for very long or can happen any more before the end."""
-        mark = (sum(self.acs.executor.moves), self.garage.unfinished, sum(a.acted for a in self.acs.executor.agvs))
-        if mark != self._moved or self.garage.unfinished == 0:
-            self._moved, self._moved_s = mark, self.now_s
-        quiet_s = self.now_s - self._moved_s
-        # with a duration the hours asked for are simulated whole: waits and rates count to their end
-        if self._pending or self.world.scenario.duration_s is not None or self.step % self._look_every:
+    def _stalled(self) -> bool:
+        """No request is to come, and nothing moves any more; hours asked for as a duration are simulated whole."""
+        self._standstill.watch(self.now_s)
+        if self._pending or self.world.scenario.duration_s is not None:
             return False
-        if quiet_s < self.world.scenario.control.stuck_s + 2 * LOOK_S:
-            return False
-        return not self._something_ends(end_s) if quiet_s >= STALLED_S else self._held_for_ever(end_s)
-
-    def _something_ends(self, end_s: float) -> bool:
-        """An action under way, or a fault that holds an AGV or a request, will end before the run does."""
-        acting = any(a.acting_until > self.step for a in self.acs.executor.agvs)
-        ending = self._faults.ending(end_s) if self._faults is not None else frozenset[int]()
-        return acting or any(ending.intersection(hold.faults) for hold in self.acs.holds.of_all())
-
-    def _held_for_ever(self, end_s: float) -> bool:
-        still = self._faults.still(end_s) if self._faults is not None else frozenset[AgvNumber]()
-        return still is not None and self.acs.holds.for_ever(still)
+        return self._standstill.is_final(self.step, self.now_s, self._end_s, self.plant)
 
     # --- watching -------------------------------------------------------------------------------------------------
 
     def _check(self) -> None:
         bodies = self.plant.bodies()
-        if self._footprint is None or bodies is None:
+        if self._watch is None or bodies is None:
             return
-        t = perf_counter()
-        self._footprint.step(self.now_s, bodies)
-        for near in self._footprint.events[self._overlaps :]:
-            self._log("overlap", near.agv, "", NO_VERTEX, {"others": [near.other], "clearance_m": near.clear_m})
-        for near in self._footprint.turns[self._turns :]:
-            self._log("turn_under_car", near.agv, str(near.other), NO_VERTEX, {})
-        self._overlaps, self._turns = len(self._footprint.events), len(self._footprint.turns)
-        self._wall["check"] += perf_counter() - t
-
-    def _park_initial(self, check: FootprintCheck) -> None:
-        """Tell the footprint check of the cars that are parked before the run starts."""
-        net, agv = self.world.net, self.world.scenario.agv
-        into = {v: e for e, (_, v) in numbered(net.graph.ends)}
-        ends = np.array([net.shapes[into[slot]][-2:] for slot in self.garage.parked.values()]).reshape(-1, 2, 2)
-        (x, y), (dx, dy) = ends[:, 1].T, (ends[:, 1] - ends[:, 0]).T
-        from parking_sim.footprint import Bodies
-
-        many = np.ones(len(x))
-        bodies = Bodies(x, y, np.arctan2(dy, dx), many * agv.length_m, many * agv.width_m, many > 0)
-        check.standing(
-            list(self.garage.parked), bodies, [slot in self._cramped for slot in self.garage.parked.values()]
-        )
+        with self._accounts.timed("check"):
+            for event in self._watch.step(self.now_s, bodies):
+                self._log(event)
 
     def _sample(self) -> None:
-        t = perf_counter()
+        with self._accounts.timed("record"):
+            self._sample_agvs()
+            if self.world.scenario.record.plans:
+                self._sample_plans()
+            self._accounts.draw(self.acs.agvs)
+            self._sample_counts()
+
+    def _sample_agvs(self) -> None:
+        """Record where all AGVs are."""
         agvs = self.acs.agvs
         cars = [
             agv.task.car if a.loaded and agv.task else "" for agv, a in zip(agvs, self.acs.executor.agvs, strict=True)
@@ -437,17 +398,19 @@ class RunLoop:
         self.recorder.sample(
             self.now_s, self.plant.samples(), [a.mode.value for a in agvs], cars, [a.soc for a in agvs]
         )
-        if self.world.scenario.record.plans:
-            self._sample_plans()
-        for i, agv in numbered(agvs):
-            self._drawn[i] += max(0.0, self._soc[i] - agv.soc)
-            self._soc[i] = agv.soc
+
+    def _sample_counts(self) -> None:
+        """Record how many customers, cars and requests there are."""
         street = self.plant.street()
         queue, spilled = (street.queued, street.spilled) if street else (len(self.garage.queue), 0)
-        active = sum(1 for a in agvs if a.task is not None)
-        parked, waiting = len(self.garage.parked), len(self.garage.open)
-        self.recorder.timeline(self.now_s, queue + spilled, spilled, parked, waiting, active)
-        self._wall["record"] += perf_counter() - t
+        self.recorder.timeline(
+            self.now_s,
+            queue=queue + spilled,
+            spilled=spilled,
+            parked=len(self.garage.parked),
+            waiting_requests=len(self.garage.open),
+            active_agvs=sum(1 for a in self.acs.agvs if a.task is not None),
+        )
 
     def _sample_plans(self) -> None:
         """Record the plans that have changed: from the vertex reached last, through those granted, to the end."""
@@ -458,30 +421,29 @@ class RunLoop:
                 self._plans[i] = plan
                 self.recorder.plan(self.now_s, i, *plan)
 
-    def _log(self, kind: str, agv: AgvNumber, car: str, vertex: Vertex, detail: dict[str, object]) -> None:
-        if self._footprint is not None and kind == "lift":
-            self._footprint.lifted(car)
-        elif self._footprint is not None and kind == "lower" and vertex in self.garage.slot_of:
-            self._footprint.lowered(car, agv, vertex in self._cramped)
-        self.recorder.event(self.now_s, kind, agv, car, self.names[vertex] if vertex >= 0 else "", **detail)
+    def _log(self, event: Event) -> None:
+        if self._watch is not None:
+            self._watch.note(event)
+        place = self.names[event.vertex] if event.vertex >= 0 else ""
+        self.recorder.event(self.now_s, event.kind, event.agv, event.car, place, **event.detail)
 
     def _tell(self) -> None:
         if self._progress is None or perf_counter() - self._told < PROGRESS_S:
             return
         self._told = perf_counter()
         done = len(self.garage.tasks) - self.garage.unfinished
-        self._progress(Progress(self.now_s, done, self.world.demand.total, self._told - self._start))
+        self._progress(Progress(self.now_s, done, self.world.demand.total, self._accounts.total_s))
 
     # --- the end --------------------------------------------------------------------------------------------------
 
-    def finish(self, status: str) -> Summary:
+    def finish(self, status: Ended) -> Summary:
         """Write the record and work out the metrics."""
         out = self.out
         for task in self.garage.tasks:
-            self.recorder.task(self._task_row(task))
+            self.recorder.task(task_row(task, self.names))
         for i, agv in numbered(self.acs.agvs):
             self.recorder.agv(self._agv_row(i, agv.tasks_done))
-        held = self._open_work(status)
+        held = self._held(status)
         meta = {**self._meta(status), "held": held}
         from analysis.checks import failed_checks, run_checks
         from analysis.metrics import run_metrics, write_metrics
@@ -498,45 +460,33 @@ class RunLoop:
             metrics = write_metrics(out)
         return Summary(status, metrics, out, failed_checks(run_checks(meta, metrics)), held)
 
-    def _open_work(self, status: str) -> tuple[str, ...]:
+    def _held(self, status: Ended) -> tuple[str, ...]:
         """What holds the work that is open at the end, in words; of a run that goes on no further than its time what is
         wrong only."""
         if status == "finished" or not self.garage.unfinished:
             return ()
         from analysis.faults import fault_spans
-        from analysis.holds import Held, ending
+        from analysis.holds import ending
         from analysis.tables import recorded_run
 
-        tasks, names = self.garage.tasks, self.names
-        holds = [
-            Held(
-                hold.agv, hold.request, tasks[hold.request].car if hold.request >= 0 else "", hold.cause.value,
-                hold.chain, hold.faults, names[hold.vertex] if hold.vertex >= 0 else "",
-            )
-            for hold in self.acs.holds.of_all()
-        ]  # fmt: skip
+        holds = [held_work(hold, self.garage.tasks, self.names) for hold in self.acs.holds.of_all()]
         shown = [held for held in holds if status == "stalled" or not held.is_ordinary]
         return tuple(ending(shown, fault_spans(recorded_run(self.recorder, {})), self.now_s))
 
-    def _task_row(self, task: Task) -> TaskRow:
-        def name(vertex: Vertex) -> str:
-            return self.names[vertex] if vertex >= 0 else ""
-
-        return TaskRow(
-            task.number, task.request.kind.value, task.car, task.state, task.reason, task.agv, name(task.origin),
-            name(task.destination), task.requested_s, task.at_bay_s, task.ready_s, task.assigned_s, task.lifted_s,
-            task.delivered_s, task.done_s,
-        )  # fmt: skip
-
     def _agv_row(self, i: AgvNumber, tasks: int) -> AgvRow:
-        ex = self.acs.executor
-        seconds = {f"{k}_s": self.world.motion.seconds(n) for k, n in self._activity[i].items()}
-        battery_wh = self.plant.battery_wh
-        return AgvRow(i, ex.moves[i], ex.distance_m[i], tasks, **seconds, energy_wh=self._drawn[i] * battery_wh)
+        ex, accounts = self.acs.executor, self._accounts
+        return AgvRow(
+            agv=i,
+            moves=ex.moves[i],
+            distance_m=ex.distance_m[i],
+            tasks=tasks,
+            **accounts.seconds(i),
+            energy_wh=accounts.drawn(i) * self.plant.battery_wh,
+        )
 
-    def _meta(self, status: str) -> dict[str, object]:
+    def _meta(self, status: Ended) -> dict[str, object]:
         scenario, garage = self.world.scenario, self.garage
-        clearance = self._footprint.result() if self._footprint is not None else None
+        clearance = self._watch.result() if self._watch is not None else None
         problems = garage.audit()
         return {
             "status": status,
@@ -562,21 +512,5 @@ class RunLoop:
             "cars_left": garage.left,
             "cars_in_transit": garage.in_transit(),
             "audit": problems,
-            "wall_s": self._wall_split(),
+            "wall_s": self._accounts.wall_split(self.plant.sumo_s),
         }
-
-    def _wall_split(self) -> dict[str, float]:
-        """Wall-clock seconds: SUMO's own steps, the rest of the plant, planning, the rest of the controller, ..."""
-        wall, sumo = self._wall, self.plant.sumo_s
-        return {
-            "total": perf_counter() - self._start,
-            "sumo": sumo,
-            "plant": wall["plant"] - sumo,
-            "planning": wall["planning"],
-            "execution": wall["control"] - wall["planning"],
-            "record": wall["record"],
-            "check": wall["check"],
-        }
-
-
-_ACTIVITIES = ("empty", "loaded", "turning", "lifting", "lowering", "waiting", "charging", "idle")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Self
 
 from controller.types import AgvNumber
 from parking_sim.config import Scenario
-from parking_sim.simulation import Progress, Summary, prepare
+from parking_sim.simulation import Ended, Progress, Summary, prepare
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -109,7 +109,7 @@ class Simulation:
         self.scenario = scenario
         self._out = None if out is None else Path(out)
         self._gui, self._fcd, self._progress = gui, fcd, progress
-        self._status = ""
+        self._status: Ended | None = None
         self._summary: Summary | None = None
 
     def __enter__(self) -> Self:

@@ -10,7 +10,7 @@ import pytest
 from test_analysis_runs import synthetic_meta, synthetic_recorder
 
 from analysis.metrics import METRICS, run_metrics, share_within, write_metrics
-from analysis.record import AgvRow, Recorder, TaskRow
+from analysis.record import AgvRow, PlanningRow, Recorder, TaskRow
 from analysis.tables import recorded_run
 from analysis.turned_away import TurnedAway, turned_away, turned_away_words
 
@@ -57,7 +57,11 @@ def by_hand() -> Recorder:
     for time_s, queue, spilled in ((0.0, 0, 0), (100.0, 4, 1), (300.0, 1, 0), (960.0, 9, 3)):
         recorder.timeline(time_s, queue, spilled, 5, 0, 1)
     for time_s, wall_ms, status in ((0.0, 1.0, "solved"), (0.0, 2.0, "partial"), (0.5, 6.0, "solved")):
-        recorder.planning(time_s, 2, status, 64, 10, 100, 40, 8, wall_ms, slot_choice=5)
+        row = PlanningRow(
+            time_s=time_s, agents=2, status=status, window_steps=64, expanded=10, heap_moves=100, generated=40, valid=8,
+            slot_choice=5, wall_ms=wall_ms,
+        )  # fmt: skip
+        recorder.planning(row)
     for k, cost in enumerate((2.0, 6.0)):
         recorder.event(10.0, "deadlock_found", deadlock=k, members=[0, 1], cause="head-on")
         recorder.event(

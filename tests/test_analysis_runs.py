@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.record import NAN, AgvRow, AgvSample, Recorder, TaskRow
+from analysis.record import NAN, AgvRow, AgvSample, PlanningRow, Recorder, TaskRow
 from analysis.tables import COLUMNS, load_run, recorded_run
 from sumo_nets.graph import Graph, make_graph
 
@@ -141,15 +141,17 @@ def _add_samples(recorder: Recorder, rng: np.random.Generator, graph: Graph, end
         )
         expanded, generated = (int(x) for x in rng.poisson([300, 700]))
         recorder.planning(
-            float(t),
-            agvs,
-            "solved",
-            64,
-            expanded,
-            3 * generated,
-            generated,
-            expanded - 5,
-            float(rng.lognormal(0.5, 0.8)),
+            PlanningRow(
+                time_s=float(t),
+                agents=agvs,
+                status="solved",
+                window_steps=64,
+                expanded=expanded,
+                heap_moves=3 * generated,
+                generated=generated,
+                valid=expanded - 5,
+                wall_ms=float(rng.lognormal(0.5, 0.8)),
+            )
         )
 
 

@@ -12,6 +12,7 @@ import pytest
 from whole_runs import coming_next
 
 from analysis.tables import load_run
+from controller.events import KINDS
 from parking_sim.config import check_scenario
 from parking_sim.fault_config import DRAWN_FAULTS, FaultConfig
 from parking_sim.faults import fault_stream
@@ -49,12 +50,13 @@ SCRIPT = {
 
 
 def run(out: Path, faults: dict[str, Any], **keys: Any) -> tuple[Summary, list[dict[str, Any]]]:
-    """A run and its events, the detail's keys among them."""
+    """A run and its events, the detail's keys among them; these are the keys that each kind has to have."""
     workload = {"kind": "poisson", "arrivals_per_h": 20, "dwell_median_min": 10, "duration_min": 15}
     scenario = {"garage": "map1", "agvs": 4, "workload": {**workload, "initial_occupancy": 0.3}, "faults": faults}
     summary = simulate(check_scenario({**scenario, **keys}, "test", Path()), out)
     rows = duckdb.sql(f"select time_s, kind, agv, car, vertex, detail from '{out}/events.parquet'").fetchall()
     names = ("time_s", "kind", "agv", "car", "vertex")
+    assert [row for row in rows if not KINDS[row[1]].fits(json.loads(row[5] or "{}"))] == []
     events = [{**dict(zip(names, row[:5], strict=True)), **json.loads(row[5] or "{}")} for row in rows]
     return summary, events
 

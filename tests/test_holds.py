@@ -14,8 +14,8 @@ from analysis.explain import explain
 from analysis.faults import FaultSpan
 from analysis.holds import Held, ending, long_waits, reason
 from analysis.tables import load_run
-from controller.holds import reachable
-from parking_sim import simulation
+from controller.holds import Holds, reachable
+from parking_sim import standstill
 from parking_sim.config import check_scenario
 from parking_sim.fault_config import LONGEST_S
 from parking_sim.simulation import Summary, simulate
@@ -47,12 +47,12 @@ def run(out: Path, script: list[dict[str, Any]], **keys: Any) -> Summary:
 
 @pytest.fixture(autouse=True)
 def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(simulation, "STALLED_S", STALLED_S)
+    monkeypatch.setattr(standstill, "STALLED_S", STALLED_S)
 
 
 def to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let runs go on whatever ``for_ever`` says."""
-    monkeypatch.setattr(simulation.RunLoop, "_held_for_ever", lambda run, end_s: False)
+    monkeypatch.setattr(Holds, "for_ever", lambda holds, still: False)
 
 
 BAYS = [read_net("map1").graph.names[v] for v in read_net("map1").graph.bays]

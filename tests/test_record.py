@@ -6,12 +6,14 @@ import json
 import math
 from dataclasses import fields
 from pathlib import Path
+from typing import get_args
 
 import duckdb
 import numpy as np
 import pytest
 
-from analysis.record import COLUMNS, META, NAN, AgvRow, AgvSample, Recorder, TaskRow, write_json
+from analysis.record import COLUMNS, META, NAN, AgvRow, AgvSample, PlanningRow, Recorder, TaskRow, write_json
+from controller.events import KINDS, EventKind
 from controller.types import AgvMode
 from sumo_nets.graph import make_graph
 
@@ -26,7 +28,12 @@ def filled(wall_ms: float = 1.5) -> Recorder:
     two = [AgvSample(0, 1.0, 2.0, 90.0, 0.0), AgvSample(1, 3.0, 2.0, 0.0, 1.5)]
     recorder.sample(0.0, two, [AgvMode.IDLE, AgvMode.GOING_TO_PARK], ["", "c1"], [1.0, 0.5])
     recorder.timeline(0.0, 1, 0, 0, 1, 1)
-    recorder.planning(0.0, 2, "solved", 64, 10, 40, 20, 9, wall_ms)
+    recorder.planning(
+        PlanningRow(
+            time_s=0.0, agents=2, status="solved", window_steps=64, expanded=10, heap_moves=40, generated=20, valid=9,
+            wall_ms=wall_ms,
+        )
+    )  # fmt: skip
     recorder.floor(
         make_graph(
             "tiny",
@@ -88,6 +95,12 @@ def test_the_floor_is_in_the_record() -> None:
 def test_rows_have_the_fields_of_their_table() -> None:
     assert [f.name for f in fields(TaskRow)] == list(COLUMNS["tasks"])
     assert [f.name for f in fields(AgvRow)] == list(COLUMNS["agvs"])
+    assert [f.name for f in fields(PlanningRow)] == list(COLUMNS["planning"])
+
+
+def test_every_kind_of_event_is_explained() -> None:
+    assert set(KINDS) == set(get_args(EventKind))
+    assert all(kind.meaning and all(kind.keys.values()) and kind.one_of <= set(kind.keys) for kind in KINDS.values())
 
 
 def test_equal_runs_give_equal_bytes_but_for_wall_clock(tmp_path: Path) -> None:

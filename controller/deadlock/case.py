@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from controller.types import NO_AGV, AgvNumber, Path, PlanningProblem
 from sumo_nets.numbering import NO_VERTEX, Vertex
+
+DeadlockKind = Literal["deadlock", "obstruction"]
+#: How it was found: AGVs wait for each other in a ring, for one without work, or one comes no nearer to its goal.
+DeadlockCause = Literal["ring", "idle", "stuck"]
+#: Stages of the ladder, besides "replanned": it dissolved by itself, and "": none.
+Stage = Literal["", "replanned", "partial_cbs", "leader", "pull_over", "widen", "homes", "lacam"]
 
 #: Places and goals of all AGVs that can move, and what is closed to them.
 Situation = tuple[tuple[tuple[AgvNumber, Vertex, Vertex], ...], bytes, tuple[tuple[Vertex, ...], ...]]
@@ -38,21 +45,21 @@ class Deadlock:
         hopeless: the situation in which it is proven that there is no resolution: no climb until it changes.
     """
 
-    kind: str
+    kind: DeadlockKind
     number: int
     members: tuple[AgvNumber, ...]
-    cause: str
+    cause: DeadlockCause
     since: int
     reached: tuple[tuple[Vertex, int], ...]
-    stage: str = ""
+    stage: Stage = ""
     leader: AgvNumber = NO_AGV
     goal: Vertex = NO_VERTEX
     arrived: bool = False
     locked: set[AgvNumber] = field(default_factory=set)
     aside: dict[AgvNumber, frozenset[Vertex]] = field(default_factory=dict)
     best: int = 0
-    carried: tuple[str, frozenset[AgvNumber]] = ("", frozenset())
-    in_vain: set[tuple[str, frozenset[AgvNumber]]] = field(default_factory=set)
+    carried: tuple[Stage, frozenset[AgvNumber]] = ("", frozenset())
+    in_vain: set[tuple[Stage, frozenset[AgvNumber]]] = field(default_factory=set)
     moved: int = 0
     granted: int = 0
     failures: int = 0
@@ -70,13 +77,13 @@ class Resolution:
         homes: the new homes of AGVs that exchange theirs.
     """
 
-    stage: str
+    stage: Stage
     leader: AgvNumber
     paths: Mapping[AgvNumber, Path]
     homes: Mapping[AgvNumber, Vertex] = field(default_factory=dict)
 
     @property
-    def key(self) -> tuple[str, frozenset[AgvNumber]]:
+    def key(self) -> tuple[Stage, frozenset[AgvNumber]]:
         """Stage and group."""
         return self.stage, frozenset(self.paths)
 

@@ -35,9 +35,10 @@ from dataclasses import dataclass, field, replace
 from itertools import islice, permutations
 from operator import ne
 
-from controller.deadlock.case import Deadlock, Resolution, situation_of
+from controller.deadlock.case import Deadlock, DeadlockCause, DeadlockKind, Resolution, Stage, situation_of
 from controller.deadlock.cut_off import CutOff
 from controller.deadlock.waits import Progress, WaitGraph
+from controller.events import Event, EventKind, Log
 from controller.executor import Executor
 from controller.fleet import FREE_MODES, Agv
 from controller.planners.cbs import Cbs, CbsLimits
@@ -47,7 +48,7 @@ from controller.search.distances import Distances
 from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
 from controller.search.space import Space
-from controller.types import FOREVER, NO_AGV, AgvNumber, Log, Path, PlanAgent, PlanningProblem, Status
+from controller.types import FOREVER, NO_AGV, AgvNumber, Path, PlanAgent, PlanningProblem, Status
 from sumo_nets.numbering import NO_VERTEX, Numbered
 
 #: LaCAM* may propose so many times more after each of the first climbs in vain.
@@ -56,6 +57,12 @@ _MORE = 4
 _RAISES = 4
 #: So many ways to exchange homes are tried, those in which the fewest AGVs get another home first.
 _EXCHANGES = 24
+
+#: A leader, the group by priority, the problem, the AGVs found in the way -> a path for each AGV of the group, or None.
+_Attempt = Callable[[PlanAgent, list[PlanAgent], PlanningProblem, set[AgvNumber]], dict[AgvNumber, Path] | None]
+
+_FOUND: Mapping[DeadlockKind, EventKind] = {"deadlock": "deadlock_found", "obstruction": "obstruction_found"}
+_RESOLVED: Mapping[DeadlockKind, EventKind] = {"deadlock": "deadlock_resolved", "obstruction": "obstruction_resolved"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +119,7 @@ class Ladder:
         self._lacam = Lacam(space, limits.lacam)
         self._table = ReservationTable(len(executor.graph.names), executor.motion.following)
         self._open: list[Deadlock] = []
-        self._count = {"deadlock": 0, "obstruction": 0}
+        self._count: dict[DeadlockKind, int] = {"deadlock": 0, "obstruction": 0}
 
     @property
     def resolving(self) -> bool:
@@ -168,9 +175,10 @@ class Ladder:
 
     # --- finding --------------------------------------------------------------------------------------------------
 
-    def _candidates(self, step: int, waits: WaitGraph) -> list[tuple[tuple[AgvNumber, ...], str]]:
+    def _candidates(self, step: int, waits: WaitGraph) -> list[tuple[tuple[AgvNumber, ...], DeadlockCause]]:
         """Groups that have stopped, with the cause: rings and chains at once, AGVs that are stuck when time is up."""
-        found = [(ring, "ring") for ring in waits.rings] + [(chain, "idle") for chain in waits.blocked_by_idle]
+        found: list[tuple[tuple[AgvNumber, ...], DeadlockCause]] = [(ring, "ring") for ring in waits.rings]
+        found += [(chain, "idle") for chain in waits.blocked_by_idle]
         taken = {n for members, _ in found for n in members}
         for n in self._progress.stuck(step, self.limits.stuck_steps):
             line = self._waiting_line(n, waits)
@@ -189,11 +197,13 @@ class Ladder:
             line.append(waits.edges[line[-1]])
         return tuple(line)
 
-    def _kind(self, members: tuple[AgvNumber, ...], cut_off: CutOff) -> str:
+    def _kind(self, members: tuple[AgvNumber, ...], cut_off: CutOff) -> DeadlockKind:
         held = cut_off.by_fault | cut_off.barred
         return "obstruction" if any(n in held or self._agvs[n].off_duty for n in members) else "deadlock"
 
-    def _found(self, kind: str, members: tuple[AgvNumber, ...], cause: str, step: int, waits: WaitGraph) -> Deadlock:
+    def _found(
+        self, kind: DeadlockKind, members: tuple[AgvNumber, ...], cause: DeadlockCause, step: int, waits: WaitGraph
+    ) -> Deadlock:
         since = step - self.limits.stuck_steps
         if cause != "stuck":
             since = min((self._executor.agvs[n].since for n in members if n in waits.edges), default=step)
@@ -213,7 +223,7 @@ class Ladder:
             "goals": {n: names[self._agvs[n].goal] for n in members},
             "since_s": since * ex.motion.step_s,
         }
-        self._log(f"{kind}_found", members[0], "", vertex, detail)
+        self._log(Event(_FOUND[kind], members[0], vertex=vertex, detail=detail))
         return deadlock
 
     # --- carrying out ---------------------------------------------------------------------------------------------
@@ -267,13 +277,13 @@ class Ladder:
             "stage": deadlock.stage,
             "cost_s": self._executor.motion.seconds(step - deadlock.since),
         }
-        self._log(f"{deadlock.kind}_resolved", deadlock.leader, "", NO_VERTEX, detail)
+        self._log(Event(_RESOLVED[deadlock.kind], deadlock.leader, detail=detail))
 
-    def _failed(self, deadlock: Deadlock, stage: str, reason: str) -> None:
+    def _failed(self, deadlock: Deadlock, stage: Stage, reason: str) -> None:
         if deadlock.kind == "obstruction":
             return
         detail = {"deadlock": deadlock.number, "stage": stage, "reason": reason}
-        self._log("stage_failed", deadlock.members[0], "", NO_VERTEX, detail)
+        self._log(Event("stage_failed", deadlock.members[0], detail=detail))
 
     # --- resolving ------------------------------------------------------------------------------------------------
 
@@ -328,7 +338,8 @@ class Ladder:
                 return Resolution("partial_cbs", leaders[0].agv, result.paths), blockers
             self._failed(deadlock, "partial_cbs", result.status.value)
         self._search.begin(problem)
-        for stage, attempt in (("leader", self._leader), ("pull_over", self._pull_over)):
+        attempts: dict[Stage, _Attempt] = {"leader": self._leader, "pull_over": self._pull_over}
+        for stage, attempt in attempts.items():
             if (stage, members) in deadlock.in_vain:
                 continue
             for leader in leaders:
@@ -456,9 +467,8 @@ class Ladder:
             self._agvs[n].home = self._agvs[n].goal = home
         if resolution.homes:
             names = {n: ex.graph.names[home] for n, home in resolution.homes.items()}
-            self._log(
-                "homes_exchanged", resolution.leader, "", NO_VERTEX, {deadlock.kind: deadlock.number, "homes": names}
-            )
+            detail = {deadlock.kind: deadlock.number, "homes": names}
+            self._log(Event("homes_exchanged", resolution.leader, detail=detail))
         deadlock.stage, deadlock.leader = resolution.stage, resolution.leader
         deadlock.carried = resolution.key
         deadlock.best = self._progress.best(resolution.paths)

@@ -97,5 +97,19 @@ class Plant(Protocol):
     def bodies(self) -> Bodies | None:
         """All AGVs as rectangles; None in a plant where they have no bodies."""
 
+    def ending(self, before_s: float) -> frozenset[int]:
+        """Numbers of the faults under way that end before a time in seconds; none in a plant without faults."""
+
+    def still(self, before_s: float) -> frozenset[AgvNumber] | None:
+        """AGVs that faults keep from moving until a time.
+
+        Args:
+            before_s: the time, seconds.
+
+        Returns:
+            Their numbers, none in a plant without faults; None if a fault may begin or end before that time, or a
+            command is on its way.
+        """
+
     def close(self) -> None:
         """Release what the plant holds; safe to call twice."""

@@ -131,5 +131,13 @@ class DiscretePlant:
         xy = self.graph.xy
         return [AgvSample(i, float(xy[v, 0]), float(xy[v, 1]), self._heading[i], 0.0) for i, v in numbered(self.at)]
 
+    def ending(self, before_s: float) -> frozenset[int]:
+        """No fault: there are none in this plant."""
+        return frozenset()
+
+    def still(self, before_s: float) -> frozenset[AgvNumber]:
+        """No AGV: no fault keeps one from moving."""
+        return frozenset()
+
     def close(self) -> None:
         """Nothing to release."""

@@ -239,6 +239,14 @@ class SumoPlant:
         x, y, angle = self._place.copy()
         return Bodies(x, y, angle, self._length, self._width, self._loaded.copy())
 
+    def ending(self, before_s: float) -> frozenset[int]:
+        """No fault: there are none in this plant."""
+        return frozenset()
+
+    def still(self, before_s: float) -> frozenset[AgvNumber]:
+        """No AGV: no fault keeps one from moving."""
+        return frozenset()
+
     def close(self) -> None:
         """End SUMO and release its files; safe to call twice."""
         if self._open:
