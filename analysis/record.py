@@ -16,7 +16,7 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import KW_ONLY, dataclass, fields
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +30,7 @@ from controller.types import NO_AGV, AgvNumber, RequestNumber
 if TYPE_CHECKING:
     import duckdb
 
+    from controller.garage import TaskState
     from sumo_nets.graph import Graph
     from sumo_nets.numbering import Numbered, Vertex
     from sumo_nets.read import GarageNet
@@ -220,7 +221,8 @@ class TaskRow:
     request: RequestNumber
     kind: str
     car: str
-    state: str
+    state: TaskState
+    _: KW_ONLY
     reason: str = ""
     agv: AgvNumber = NO_AGV
     origin: str = ""

@@ -14,19 +14,26 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from controller.types import AgvNumber
 from sumo_nets.numbering import Vertex
 
 _Number = TypeVar("_Number", AgvNumber, Vertex)
 
+#: What can go wrong, see ``parking_sim.fault_config``. After a breakdown comes a tow or a repair; a command may come
+#: late, or be lost and sent again.
+FaultKind = Literal[
+    "stop", "slow", "stale", "breakdown", "battery", "blocked", "bay", "charger", "zone_stop", "all_stop",
+    "tow", "repair", "late", "lost",
+]  # fmt: skip
+
 #: Kinds of fault that AGVs report: they cannot move.
-IMMOBILE = frozenset({"breakdown", "repair", "battery", "zone_stop", "all_stop"})
+IMMOBILE: frozenset[FaultKind] = frozenset({"breakdown", "repair", "battery", "zone_stop", "all_stop"})
 #: Kinds after whose start an AGV gets no new task until they are over.
-OFF_DUTY = frozenset({"breakdown", "tow", "repair", "battery"})
+OFF_DUTY: frozenset[FaultKind] = frozenset({"breakdown", "tow", "repair", "battery"})
 #: Kinds that close places for so long that goals there are changed; for the end of an emergency stop one waits.
-CLOSING = frozenset({"blocked", "bay", "charger"})
+CLOSING: frozenset[FaultKind] = frozenset({"blocked", "bay", "charger"})
 #: Kinds the controller is told of.
 REPORTED = IMMOBILE | OFF_DUTY | CLOSING
 
@@ -37,14 +44,14 @@ class FaultReport:
 
     Attributes:
         number: count of faults in the run; start and end have the same.
-        kind: what happens, see ``parking_sim.fault_config``; also "tow", "repair", "late" and "lost".
+        kind: what happens.
         started: it begins (otherwise it ends).
         agvs: AGVs concerned.
         vertices: places concerned.
     """
 
     number: int
-    kind: str
+    kind: FaultKind
     started: bool
     agvs: tuple[AgvNumber, ...] = ()
     vertices: tuple[Vertex, ...] = ()

@@ -31,6 +31,7 @@ from controller.types import (
     Planner,
     PlanningProblem,
     PlanResult,
+    Status,
 )
 from controller.window import Window, WindowRange, WindowRule, count_sccs
 from sumo_nets.numbering import Numbered, Vertex, numbered
@@ -87,7 +88,7 @@ class PlanningCall:
 
     step: int
     agents: int
-    status: str
+    status: Status
     window_steps: int
     counters: Counters
     wall_s: float
@@ -193,18 +194,18 @@ class Planning:
         wall_s = self._clock() - start
         if self._options.replanning != "periodic":
             self._expect(step)
-        status = result.status.value
         self.calls.append(
             PlanningCall(
-                step,
-                len(problem.agents),
-                status,
-                problem.window_steps,
-                result.counters,
-                wall_s,
-                0 if self.flags.complete else window,
-                self._window.score,
-                *met,
+                step=step,
+                agents=len(problem.agents),
+                status=result.status,
+                window_steps=problem.window_steps,
+                counters=result.counters,
+                wall_s=wall_s,
+                window_cells=0 if self.flags.complete else window,
+                score=self._window.score,
+                wait_edges=met[0],
+                rings=met[1],
             )
         )
         self.counters.add(result.counters)

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
-from typing import Final, NewType
+from typing import Final, Literal, NewType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -374,7 +374,7 @@ class Conflict:
         step: first step at which they meet.
     """
 
-    kind: str
+    kind: Literal["vertex", "swap", "following"]
     agents: tuple[AgvNumber, AgvNumber]
     vertex: Vertex
     step: int

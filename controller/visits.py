@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import chain
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ class Refusal:
         reason: in words.
     """
 
-    kind: str
+    kind: Literal["form", "start", "edge", "conflict", "swap"]
     agents: tuple[AgvNumber, ...]
     vertex: Vertex
     reason: str

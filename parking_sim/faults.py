@@ -10,6 +10,7 @@ import heapq
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from controller.faults import FaultKind
 from controller.types import NO_AGV, AgvNumber
 from demand.types import stream
 from parking_sim.fault_config import AGV_FAULTS, DRAWN_FAULTS, AnyFault, Drawn, FaultConfig
@@ -32,7 +33,7 @@ class Fault:
     """
 
     start_s: float
-    kind: str
+    kind: FaultKind
     for_s: float
     agv: AgvNumber = NO_AGV
     vertex: Vertex = NO_VERTEX

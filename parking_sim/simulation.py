@@ -288,7 +288,7 @@ class RunLoop:
         return PlanningRow(
             time_s=self.now_s,
             agents=call.agents,
-            status=call.status,
+            status=call.status.value,
             window_steps=call.window_steps,
             expanded=work.expanded,
             heap_moves=work.heap_moves,

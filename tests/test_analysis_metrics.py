@@ -35,25 +35,47 @@ def by_hand() -> Recorder:
     for request in range(13):
         recorder.event(0.0, "request_made", request=request)
     # two parks: queue 10 and 30, wait 70 and 90, total 200 and 300
-    recorder.task(TaskRow(0, "park", "a", "served", "", 0, "bay", "s1", 0, 10, 60, 60, 80, 200, 200))
-    recorder.task(TaskRow(1, "park", "b", "served", "", 1, "bay", "s2", 100, 130, 190, 190, 220, 400, 400))
+    first = TaskRow(
+        0, "park", "a", "served", agv=0, origin="bay", destination="s1", requested_s=0, at_bay_s=10, ready_s=60,
+        assigned_s=60, lifted_s=80, delivered_s=200, done_s=200,
+    )  # fmt: skip
+    second = TaskRow(
+        1, "park", "b", "served", agv=1, origin="bay", destination="s2", requested_s=100, at_bay_s=130, ready_s=190,
+        assigned_s=190, lifted_s=220, delivered_s=400, done_s=400,
+    )  # fmt: skip
+    recorder.task(first)
+    recorder.task(second)
     # retrievals: waits 100, 200, 400; one more delivered but not driven off: 300
     for request, wait in ((2, 100.0), (3, 200.0), (4, 400.0)):
         row = TaskRow(
-            request, "retrieve", "c", "served", "", 0, "s1", "bay", 0.0, math.nan, 0.0, 1.0, 2.0, wait, wait + 50
+            request,
+            "retrieve",
+            "c",
+            "served",
+            agv=0,
+            origin="s1",
+            destination="bay",
+            requested_s=0.0,
+            ready_s=0.0,
+            assigned_s=1.0,
+            lifted_s=2.0,
+            delivered_s=wait,
+            done_s=wait + 50,
         )
         recorder.task(row)
-    recorder.task(TaskRow(5, "retrieve", "d", "waiting", "customer at the bay", requested_s=600.0, delivered_s=900.0))
+    recorder.task(
+        TaskRow(5, "retrieve", "d", "waiting", reason="customer at the bay", requested_s=600.0, delivered_s=900.0)
+    )
     # still waiting for 250 s (over 180, not over 300); void, because its car was turned away
-    recorder.task(TaskRow(6, "retrieve", "e", "waiting", "no AGV yet", requested_s=750.0))
-    recorder.task(TaskRow(7, "retrieve", "zz", "void", "car was turned away", requested_s=5.0))
+    recorder.task(TaskRow(6, "retrieve", "e", "waiting", reason="no AGV yet", requested_s=750.0))
+    recorder.task(TaskRow(7, "retrieve", "zz", "void", reason="car was turned away", requested_s=5.0))
     # four customers turned away; one more was inside already, who did not come
     for request, (state, reason) in enumerate(
         [("turned_away", f"queue too long: {n} cars") for n in (12, 13)]
         + [("turned_away", "every slot is taken or promised: 4 parked, 2 in the queue, 1 on their way in")] * 2
         + [("void", "car is in the garage already")]
     ):
-        recorder.task(TaskRow(8 + request, "park", f"z{request}", state, reason, requested_s=4.0))
+        recorder.task(TaskRow(8 + request, "park", f"z{request}", state, reason=reason, requested_s=4.0))
     for time_s, queue, spilled in ((0.0, 0, 0), (100.0, 4, 1), (300.0, 1, 0), (960.0, 9, 3)):
         recorder.timeline(time_s, queue, spilled, 5, 0, 1)
     for time_s, wall_ms, status in ((0.0, 1.0, "solved"), (0.0, 2.0, "partial"), (0.5, 6.0, "solved")):

@@ -105,10 +105,23 @@ def _add_tasks(recorder: Recorder, rng: np.random.Generator, graph: Graph, end: 
         if served:
             parked.extend([car] * (not retrieve))
             row = TaskRow(
-                k, kind, car, "served", "", agv, *ends, float(t), at_bay, ready, assigned, lifted, delivered, done
+                k,
+                kind,
+                car,
+                "served",
+                agv=agv,
+                origin=ends[0],
+                destination=ends[1],
+                requested_s=float(t),
+                at_bay_s=at_bay,
+                ready_s=ready,
+                assigned_s=assigned,
+                lifted_s=lifted,
+                delivered_s=delivered,
+                done_s=done,
             )
         else:
-            row = TaskRow(k, kind, car, "waiting", "end of run", requested_s=float(t))
+            row = TaskRow(k, kind, car, "waiting", reason="end of run", requested_s=float(t))
         recorder.task(row)
 
 

@@ -179,9 +179,12 @@ def test_customers_turned_away_are_a_measure_and_no_served_task(tmp_path: Path) 
     rows = [TaskRow(k, "park", f"c{k}", "served", requested_s=60.0 * k, done_s=60.0 * k + 9, delivered_s=60.0 * k + 9)
             for k in range(4)]  # fmt: skip
     rows += [
-        TaskRow(k, "park", f"c{k}", "turned_away", "queue too long: 3 cars", requested_s=1800.0) for k in range(4, 10)
+        TaskRow(k, "park", f"c{k}", "turned_away", reason="queue too long: 3 cars", requested_s=1800.0)
+        for k in range(4, 10)
     ]
-    rows += [TaskRow(k, "retrieve", f"c{k - 6}", "void", "car was turned away", requested_s=1900.0) for k in (10, 11)]
+    rows += [
+        TaskRow(k, "retrieve", f"c{k - 6}", "void", reason="car was turned away", requested_s=1900.0) for k in (10, 11)
+    ]
     for row in rows:
         recorder.task(row)
     recorder.write(tmp_path / "run", {"seed": 1, "simulated_s": END_S, "scenario": {"seed": 1}})

@@ -51,8 +51,8 @@ def little_run() -> Run:
     recorder.event(230.0, "fault_start", vertex="b", fault=0, cause="blocked", agvs=[], vertices=[1])
     recorder.event(240.0, "fault_end", vertex="b", fault=0, cause="blocked")
     recorder.task(
-        TaskRow(0, "retrieve", "p1", "served", "", 0, "d", "a", requested_s=5.0, ready_s=5.0, assigned_s=10.0,
-                lifted_s=20.0, delivered_s=250.0, done_s=260.0)
+        TaskRow(0, "retrieve", "p1", "served", agv=0, origin="d", destination="a", requested_s=5.0, ready_s=5.0,
+                assigned_s=10.0, lifted_s=20.0, delivered_s=250.0, done_s=260.0)
     )  # fmt: skip
     for k in range(151):
         first = AgvSample(0, 30.0 - 0.1 * k, 0.0, 0.0 if k < 10 else 180.0, 0.05)

@@ -299,7 +299,17 @@ def crowded_hour() -> Any:
         for i in rng.integers(0, 64, 32).tolist():
             recorder.plan(2.0 * k, i, 3, rng.integers(0, len(net.graph.names), 10).tolist())
     for i in range(64):
-        row = TaskRow(i, "retrieve", f"car{i:03d}", "waiting", "", i, slots[i], "", 0.0, assigned_s=0.0, lifted_s=1.0)
+        row = TaskRow(
+            i,
+            "retrieve",
+            f"car{i:03d}",
+            "waiting",
+            agv=i,
+            origin=slots[i],
+            requested_s=0.0,
+            assigned_s=0.0,
+            lifted_s=1.0,
+        )
         recorder.task(row)
     return recorded_run(recorder, {}, "crowded")
 

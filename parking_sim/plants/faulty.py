@@ -19,7 +19,7 @@ import numpy as np
 from numpy.random import Generator
 
 from analysis.record import AgvSample
-from controller.faults import IMMOBILE, FaultReport
+from controller.faults import IMMOBILE, FaultKind, FaultReport
 from controller.types import Act, Action, Advance, AgvNumber, AgvState, Command, RequestNumber, whole_steps
 from demand.types import stream
 from parking_sim.fault_config import Battery, Breakdown, FaultConfig, Slow, Stale, ZoneStop
@@ -288,7 +288,7 @@ class FaultyPlant:
         body.owed -= ticks
         self._hold(i, True)
         fault = Fault(self._now_s, "stop", self.motion.seconds(ticks), i)
-        self._running.append((self._step + ticks, fault, FaultReport(-1, "", True, (i,))))
+        self._running.append((self._step + ticks, fault, FaultReport(-1, fault.kind, True, (i,))))
 
     def _limit(self, i: AgvNumber) -> None:
         body = self._bodies[i]
@@ -302,13 +302,13 @@ class FaultyPlant:
 
     # --- commands -------------------------------------------------------------------------------------------------
 
-    def _delay(self, i: AgvNumber) -> tuple[int, str]:
+    def _delay(self, i: AgvNumber) -> tuple[int, FaultKind]:
         """Steps by which the next command of an AGV is late, and why."""
         commands, rng = self._config.commands, self._radio[i]
         seconds = 0.0
         if commands.lost:
             seconds = commands.retry_s * (float(rng.geometric(1.0 - commands.lost)) - 1.0)
-        kind = "lost" if seconds else "late"
+        kind: FaultKind = "lost" if seconds else "late"
         if commands.late and float(rng.random()) < commands.late:
             seconds += commands.late_s
         return whole_steps(seconds, self.motion.step_s), kind
@@ -334,7 +334,9 @@ class FaultyPlant:
 
     # --- faults begin and end -------------------------------------------------------------------------------------
 
-    def _begin_report(self, kind: str, agvs: tuple[AgvNumber, ...], vertices: tuple[Vertex, ...] = ()) -> FaultReport:
+    def _begin_report(
+        self, kind: FaultKind, agvs: tuple[AgvNumber, ...], vertices: tuple[Vertex, ...] = ()
+    ) -> FaultReport:
         report = FaultReport(self._count, kind, True, agvs, vertices)
         self._count += 1
         self._news.append(report)
