@@ -14,7 +14,7 @@ _AROUND_A_RUN = {
     "__init__", "__main__", "cli", "demo", "doctor", "folders", "library", "many_runs", "progress",
     "reproduce", "rerun", "shadowing", "sizing", "stepwise", "studies", "sweep_plan", "tuning", "versions",
 }  # fmt: skip
-_OF_ANALYSIS = {"metrics", "parquet", "tables"}
+_OF_ANALYSIS = {"journal", "metrics", "parquet", "record", "tables"}
 
 
 def versions() -> dict[str, str]:

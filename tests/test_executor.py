@@ -19,8 +19,9 @@ from controller.planners.cbs import CbsLimits, cbs
 from controller.planners.dstar_lite import make_dstar_lite
 from controller.planners.token import make_token
 from controller.planners.whca import make_whca
+from controller.retiming import retime
 from controller.types import FOREVER, AgvState, Path, PlanAgent, PlanningProblem
-from controller.visits import Refusal, retime
+from controller.visits import Refusal
 from sumo_nets.graph import Graph, make_graph
 
 PLANNERS = {

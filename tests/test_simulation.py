@@ -178,7 +178,7 @@ def test_an_agv_charges_after_300_cells_in_ticks(tmp_path):
     for agv, _, begun_s, ended_s, low, _ in done:
         cells = ((grants.agv == agv) & (grants.time_s > since[agv]) & (grants.time_s < begun_s)).sum()
         assert cells >= 300
-        assert low == pytest.approx(1.0 - 0.7 * cells / 300, abs=1e-3)
+        assert low == pytest.approx(1.0 - cells / 600, abs=1e-3)
         assert ended_s - begun_s == 20
         since[agv] = ended_s - 0.5
     for agv in range(3):
