@@ -226,11 +226,14 @@ def demo(
     out: Annotated[Path | None, typer.Option(help="Folder for records and report; default: runs/demo, anew.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace earlier runs in that folder.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, only the table.")] = False,
+    cars: Annotated[
+        int | None, typer.Option(help="Cars in each garage; default: as many as it has slots.", min=1, max=61)
+    ] = None,
 ) -> None:
     """Park every car of map1, map2 and map3 in SUMO, bring every car back, and write a report."""
     from parking_sim.demo import run_demo
 
-    raise typer.Exit(run_demo(out or Path("runs/demo"), force or out is None, quiet))
+    raise typer.Exit(run_demo(out or Path("runs/demo"), force or out is None, quiet, cars))
 
 
 @app.command()

@@ -9,7 +9,7 @@ from typer.core import TyperGroup
 #: What one wants to do -> command -> an example of it. Each command is in one group; the help shows them in this order.
 GROUPS: dict[str, dict[str, str]] = {
     "Run a garage": {
-        "demo": "parking-sim demo",
+        "demo": "parking-sim demo --cars 10",
         "run": "parking-sim run map1 --agvs 4 --seed 7 --out runs/first",
         "replay": "parking-sim replay runs/first --from 0:10:00 --to 0:20:00",
     },

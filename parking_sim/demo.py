@@ -36,13 +36,14 @@ _POLL_S = 0.2
 _progress_queue: Any = None
 
 
-def run_demo(out: Path, force: bool, quiet: bool) -> int:
+def run_demo(out: Path, force: bool, quiet: bool, cars: int | None = None) -> int:
     """Run the shipped garages in parallel and print what came of it.
 
     Args:
         out: folder; each garage's record goes into a folder of its name, the overview to ``index.html``.
         force: earlier runs there may be replaced.
         quiet: no progress, only the table.
+        cars: cars in each garage; default: as many as it has slots.
 
     Returns:
         Exit code: 0 if every task of every garage was done safely, 130 after Ctrl-C, else 1.
@@ -55,7 +56,7 @@ def run_demo(out: Path, force: bool, quiet: bool) -> int:
         check_folder(folder, force)
     if not quiet:
         print(f"{', '.join(sorted(RUNS))} in SUMO, side by side; this takes some minutes", file=sys.stderr)
-    summaries = _run_all(folders, quiet or not sys.stderr.isatty())
+    summaries = _run_all(folders, quiet or not sys.stderr.isatty(), cars)
     names = sorted(summaries)
     print(results_table({name: summaries[name] for name in names}))
     if any(summary.status == "interrupted" for summary in summaries.values()):
@@ -129,13 +130,13 @@ def _known(value: float, digits: int) -> str:
     return "-" if math.isnan(value) else f"{value:.{digits}f}"
 
 
-def _run_all(folders: Mapping[str, Path], quiet: bool) -> dict[str, Summary]:
+def _run_all(folders: Mapping[str, Path], quiet: bool, cars: int | None) -> dict[str, Summary]:
     context = multiprocessing.get_context("spawn")
     reports = context.Queue()
     workers = min(len(folders), os.cpu_count() or 1)
     bars = nullcontext() if quiet else RunBars(list(folders))
     with ProcessPoolExecutor(workers, context, _start_worker, (reports,)) as pool, bars as shown:
-        futures = {pool.submit(_run_one, name, folder): name for name, folder in folders.items()}
+        futures = {pool.submit(_run_one, name, folder, cars): name for name, folder in folders.items()}
         try:
             _watch(futures, reports, shown)
         except KeyboardInterrupt:
@@ -163,7 +164,7 @@ def _start_worker(reports: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _run_one(name: str, folder: Path) -> Summary:
+def _run_one(name: str, folder: Path, cars: int | None) -> Summary:
     from analysis.replay import write_replay
     from analysis.report import write_report
     from parking_sim.simulation import simulate
@@ -174,7 +175,8 @@ def _run_one(name: str, folder: Path) -> Summary:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         garage, planner = RUNS[name]
-        summary = simulate(load_scenario(garage, {"planner": planner}), folder, progress=tell)
+        given = {"planner": planner, "workload": {"kind": "park_exit", "cars": cars}}
+        summary = simulate(load_scenario(garage, given), folder, progress=tell)
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     write_replay(folder, report=True)
