@@ -21,7 +21,7 @@ from test_replay import unpack
 from analysis.explain import explain
 from analysis.measures import MEASURES, measure_runs
 from analysis.metrics import METRICS
-from analysis.record import COLUMNS
+from analysis.record import COLUMNS, EVENTS
 from analysis.replay import write_replay
 from analysis.report import write_index, write_report
 from analysis.runs import load_runs
@@ -89,9 +89,10 @@ def test_every_column_listed_exists_and_every_column_is_listed(folder, tables, c
         table, name, _, meaning = line.split("\t")
         assert meaning
         listed.setdefault(table, []).append(name)
-    assert set(listed) == {*COLUMNS, "metrics", "runs"}
+    assert set(listed) == {*COLUMNS, "kinds", "metrics", "runs"}
     for table in COLUMNS:
         assert listed[table] == list(tables[table][0]), table
+    assert listed["kinds"] == list(EVENTS)
     assert listed["metrics"] == list(METRICS)
     assert {*json.loads((folder / "metrics.json").read_text())} == {*METRICS}
     free = ("workload.", "planner_options.", "faults.")
