@@ -105,8 +105,8 @@ def _command(command: Any, name: str, parent: Any) -> Iterator[str]:
 
     context = typer.Context(command, info_name=name.rpartition(" ")[2], parent=parent)
     yield f"\n## {name}\n\n```text\n{command.get_help(context)}\n```"
-    for key, inner in getattr(command, "commands", {}).items():
-        yield from _command(inner, f"{name} {key}", context)
+    for key in command.list_commands(context) if hasattr(command, "commands") else ():
+        yield from _command(command.get_command(context, key), f"{name} {key}", context)
 
 
 def _library() -> Iterator[str]:

@@ -89,6 +89,10 @@ class Papers(WithExamples):
 class Grouped(WithExamples):
     """The program's commands; its help lists them by what one wants to do."""
 
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The commands in the order of their groups."""
+        return [name for examples in GROUPS.values() for name in examples]
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write each group with its commands; a command's line is the first sentence of its help."""
         width = max(len(name) for name in self.commands)

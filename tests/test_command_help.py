@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -64,6 +65,14 @@ def test_each_example_calls_its_command(words: tuple[str, ...]) -> None:
 def test_an_example_with_a_slip_would_not_pass(given: list[str]) -> None:
     with pytest.raises(typer.BadParameter.__bases__[0]):
         parse(given)
+
+
+def test_the_docs_show_each_example() -> None:
+    code = (Path(__file__).parent.parent / "docs" / "reference.py").read_text(encoding="utf-8")
+    module: dict[str, Any] = {"__name__": "reference"}
+    exec(compile(code, "reference.py", "exec"), module)
+    page = module["pages"]()["commands"]
+    assert all(f"  {example(command)}\n" in page for command in COMMANDS.values())
 
 
 def test_the_help_names_all_groups_and_loads_nothing_heavy() -> None:
