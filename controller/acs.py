@@ -1,7 +1,7 @@
-"""The ACS (AGV control system): from the state of the garage to commands, once a step.
+"""The ACS (AGV control system) turns the state of the garage into commands, once per planning step.
 
-A step is a list of phases: what has ended, what begins at the goals, customers, charging, dispatch, planning, deadlock,
-grants. The ACS sees states and gives commands; it knows neither SUMO nor files nor wall time.
+A step runs these phases in order: finished actions, actions at goals, customers, charging, dispatch, planning, deadlock
+handling, grants. The ACS reads states and gives commands. It does not know SUMO, files or wall-clock time.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from sumo_nets.numbering import NO_VERTEX, Numbered, Vertex, numbered
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What an ACS is made of.
+    """Everything an ACS is built from.
 
     Attributes:
-        graph, motion: the garage and how long moves take.
-        homes: home of each AGV; it starts there.
-        garage: the books.
-        rules: lifts, charging, assignment.
+        graph, motion: the garage, and the duration of each move.
+        homes: home vertex of each AGV; each AGV starts at its home.
+        garage: books of cars, requests and places.
+        rules: lift durations, charging and assignment rules.
         options: planning period, windows, deadlock limits.
         planner: answers planning problems.
-        dispatch: which AGV takes which task.
-        log: takes events.
-        clock: wall-clock seconds, for the record alone.
+        dispatch: assigns tasks to AGVs.
+        log: receives events.
+        clock: returns wall-clock seconds; the value is only recorded.
     """
 
     graph: Graph
@@ -63,10 +63,10 @@ class Acs:
 
     Attributes:
         agvs: the fleet.
-        executor: visiting orders and authorities.
-        planning: when and what is planned, deadlock handling.
-        costs: driving costs used for choices.
-        holds: why AGVs and requests make no progress.
+        executor: visiting orders of vertices, and the vertices granted to each AGV.
+        planning: decides when and what to plan; handles deadlocks.
+        costs: driving costs for choosing AGVs, slots and bays.
+        holds: explains why an AGV or a request makes no progress.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -98,11 +98,11 @@ class Acs:
         """Decide what happens next.
 
         Args:
-            step: planning step now.
-            states: what the plant saw, one for each AGV.
+            step: current planning step.
+            states: state of each AGV, as the plant reported it.
 
         Returns:
-            Commands in the order in which they have to be carried out.
+            Commands, in the order in which the plant must carry them out.
         """
         self._step, self._now_s = step, self._setup.motion.seconds(step)
         self._commands = []
@@ -126,7 +126,7 @@ class Acs:
     # --- work at the goals ----------------------------------------------------------------------------------------
 
     def _work_at_goals(self) -> None:
-        """Let AGVs begin what they came for; who can't yet (a customer, a bay, a place is awaited) stays attended."""
+        """Start the work of AGVs that have arrived. An AGV that must still wait is looked at again in the next step."""
         for n in sorted(self._attend):
             agv, a = self.agvs[n], self.executor.agvs[n]
             ready = agv.action is None and a.standing and a.acting_until < 0
@@ -138,7 +138,7 @@ class Acs:
             self._attend.discard(n)
 
     def _begin(self, agv: Agv) -> bool:
-        """Start what has to be done where the AGV stands; False while a customer, a bay or a place is awaited."""
+        """Start the work at the AGV's goal. False while the AGV waits for a customer, a bay or a free place."""
         task = agv.task
         at_slot = agv.goal in self.garage.slot_of
         if agv.mode is AgvMode.GOING_TO_COLLECT and task and task.ready_s <= self._now_s:
@@ -192,9 +192,10 @@ class Acs:
             self._set_mode(agv, AgvMode.RETURNING_WITH_CAR)
 
     def _choose_bays(self) -> None:
-        """Let AGVs that have lifted a car know where to bring it, and come nearer to the bays while all are claimed.
+        """Give AGVs that have lifted a car a bay. While every bay is claimed, move these AGVs closer to the bays.
 
-        After dispatch: who has just brought a car to a bay takes the one that waits there before others claim the bay.
+        This phase follows dispatch: an AGV that has just put a car down at a bay may fetch the car waiting at that bay
+        before the bay is promised to another AGV.
         """
         self._claims.move_up()
         waiting = {
@@ -222,7 +223,7 @@ class Acs:
                 self.garage.vacate(task.origin)
 
     def _plan_way_out(self, agv: Agv) -> None:
-        """Let an AGV have a plan to where it goes after its work at a bay, so that others can plan to come after it."""
+        """Plan the AGV's departure from the bay early, so that the next AGV can plan its arrival."""
         agv.then = agv.task.destination if agv.task and agv.action is Action.LIFT else agv.home
         self.planning.goal_changed()
 
@@ -284,7 +285,7 @@ class Acs:
         return offers
 
     def _take(self, offer: Offer) -> bool:
-        """Give the task to the AGV unless there is no slot for the car; False if the AGV lacks the charge for it."""
+        """Give the task to the AGV if a slot is free for the car. False if the AGV lacks the charge for the task."""
         task, agv = offer.task, self.agvs[offer.agv]
         origin = agv.home if offer.origin < 0 else offer.origin
         slot = NO_VERTEX
@@ -330,7 +331,7 @@ class Acs:
     # --- faults ---------------------------------------------------------------------------------------------------
 
     def report(self, fault: FaultReport) -> None:
-        """Take note of a fault that begins or ends, and answer it; see ``controller.faults``."""
+        """Record the start or end of a fault and respond to it; see ``controller.faults``."""
         self.outages.take(fault)
         self.executor.close(self.outages.closed)
         self.garage.close(self.outages.closed)
@@ -349,7 +350,7 @@ class Acs:
         self.planning.goal_changed()
 
     def _in_the_way(self) -> set[Vertex]:
-        """Vertices closed, or held by AGVs that cannot move."""
+        """Vertices that are closed, or held by AGVs that cannot move."""
         return {*self.outages.closed, *(v for n in self.outages.immobile for v in self.executor.agvs[n].trail)}
 
     def _drop_plans_through(self, vertices: set[Vertex]) -> None:
@@ -357,11 +358,11 @@ class Acs:
             if agv.immobile or vertices.intersection(a.pending):
                 self.executor.cancel(agv.number)
                 comes = self._claims.next.get(agv.goal, NO_AGV)
-                if agv.then >= 0 and comes >= 0:  # it would stand in the way of the one that is to leave
+                if agv.then >= 0 and comes >= 0:  # the next AGV would block the AGV that is to leave
                     self.executor.cancel(comes)
 
     def _give_back(self, agv: Agv) -> None:
-        """Let others have the task of an AGV that has no car on it yet, and send it home."""
+        """Return the task to the open tasks if the AGV has not lifted its car, and send the AGV home."""
         task = agv.task
         if agv.mode is AgvMode.GOING_TO_COLLECT and task and agv.action is None:
             self._release(agv)
@@ -377,7 +378,7 @@ class Acs:
         self._set_goal(agv, agv.home)
 
     def _change_goal(self, agv: Agv) -> None:
-        """The goal is closed: take another one where there is one, else wait."""
+        """Replace a closed goal by another one; wait if there is no other goal."""
         task = agv.task
         if agv.mode is AgvMode.GOING_TO_PARK and task:
             slot = choose_slot(self.garage, self.executor.agvs[agv.number].last, task.request.zone, self.costs)
@@ -387,7 +388,7 @@ class Acs:
         elif agv.mode is AgvMode.RETURNING_WITH_CAR and task and agv.goal in self.garage.bays:
             self._release(agv)
             task.destination = NO_VERTEX
-            self._set_goal(agv, self.executor.agvs[agv.number].last)  # until ``_choose_bays`` finds another one
+            self._set_goal(agv, self.executor.agvs[agv.number].last)  # until ``_choose_bays`` finds another bay
             self._attend.add(agv.number)
         else:
             self._give_back(agv)

@@ -1,19 +1,20 @@
-"""Who charges when, and who has charge enough for a task.
+"""When each AGV charges, and whether an AGV has enough charge for a task.
 
-An AGV is *due* when its charge has fallen to ``Rules.charge_below``, or when it lacks the charge for a task that it was
-to get. While more AGVs are due than chargers are free they queue: the emptiest one gets the next charger. An AGV in the
-queue goes home and stands there, in nobody's way.
+An AGV is *due* when its charge has fallen to ``Rules.charge_below``, or when it lacks the charge for a
+task offered to it. If more AGVs are due than chargers are free, the AGVs queue and the emptiest one gets the next
+charger. An AGV in the queue waits at its home, where it blocks no other AGV.
 
-Two rules look ahead, where ``Rules.by_charge`` is set (the thesis's program has neither). What they have to know about
-the battery they learn from the run:
+Two rules look ahead if ``Rules.by_charge`` is set (the thesis's program has neither). Both rules learn the battery's
+behaviour during the run:
 
-- A task *needs* ``MARGIN`` times the charge that tasks have taken so far per step of their ways: the way to the car, on
-  to where the car goes, from there home, and from home to the nearest charger. An AGV with less takes no task, and is
-  due; but one that has charged since its last task takes any, because it cannot have more. Before a first task is done,
-  ``charge_below`` is what a task needs.
-- The emptiest AGV charges *early*, before it is due, where a charger is free and the fleet loses charge so fast that
-  all chargers have to work for more than ``BUSY_SHARE`` of the time to make up for it. Chargers that stood idle until
-  AGVs are due could not catch up then. AGVs fuller than halfway from ``charge_below`` to ``charge_to`` never do that.
+- A task *needs* the length of its way, times the mean charge per step of earlier tasks, times ``MARGIN``. The way leads
+  to the car, to the car's destination, home, and from home to the nearest charger. An AGV with less charge takes no
+  task and is due. An AGV that has charged since its last task takes any task, because it cannot have more charge.
+  Until the first task is done, a task needs ``charge_below``.
+- The emptiest AGV charges *early*, before it is due, if a charger is free and the chargers are scarce. Chargers are
+  scarce if replacing the fleet's loss of charge keeps all of them busy for more than ``BUSY_SHARE`` of the time. Such
+  chargers could not catch up after standing idle. An AGV above the middle of ``charge_below`` and ``charge_to`` never
+  charges early.
 """
 
 from __future__ import annotations
@@ -32,13 +33,13 @@ from controller.rules import Rules
 from controller.types import FOREVER, AgvMode, AgvNumber, AgvState
 from sumo_nets.numbering import Numbered, Vertex
 
-#: A task needs so many times what ways as long have taken on average.
+#: A task needs this many times the charge that a way of its length has taken on average.
 MARGIN = 1.5
 
-#: Share of the time that the chargers may have to work to make up for what the fleet loses, while AGVs charge when due.
+#: AGVs charge early when more than this share of the chargers' time is needed to replace the fleet's loss of charge.
 BUSY_SHARE = 2 / 3
 
-#: An AGV counts as so much emptier for each whole charge that it has waited for, so that none is passed over for ever.
+#: For each full charge's time that an AGV has waited, its state of charge counts as this much lower in the queue.
 AGE_SOC = 0.1
 
 
@@ -49,8 +50,8 @@ class Charging:
     Attributes:
         rules: when charging is due and how long it takes.
         garage, agvs, executor, costs, outages: read only, but for ``Agv.soc`` and ``Agv.due_at``.
-        claims: holds which charger is promised to which AGV.
-        log: takes events.
+        claims: promises of chargers to AGVs.
+        log: receives events.
     """
 
     rules: Rules
@@ -77,7 +78,7 @@ class Charging:
     # --- batteries ------------------------------------------------------------------------------------------------
 
     def read(self, changed: Iterable[AgvNumber], states: Numbered[AgvNumber, AgvState], step: int) -> None:
-        """Take over the states of charge, learn from them what AGVs lose, and note who is due."""
+        """Read the states of charge, learn the AGVs' loss of charge, and mark AGVs as due."""
         self._step = step
         for n in changed:
             agv, soc = self.agvs[n], states[n].soc
@@ -85,7 +86,7 @@ class Charging:
                 continue
             if soc > agv.soc:
                 self._short.discard(n)
-            elif soc <= 0.0:  # whatever emptied it teaches nothing
+            elif soc <= 0.0:  # the battery was emptied by a fault, so this loss teaches nothing
                 self._under_way.pop(n, None)
             else:
                 self._lost += agv.soc - soc
@@ -96,11 +97,11 @@ class Charging:
                 agv.due_at = max(agv.due_at, self.rules.charge_below)
 
     def charged(self, agv: Agv) -> None:
-        """An AGV has charged."""
+        """Record that an AGV has charged."""
         self._tasks_then[agv.number] = agv.tasks_done
 
     def has_to_wait(self, agv: Agv) -> None:
-        """An AGV does not get the charger that it was promised."""
+        """Withdraw the AGV's promised charger."""
         agv.due_at = max(agv.soc, self.rules.charge_below)
 
     def _leave_queue(self, agv: Agv) -> None:
@@ -110,7 +111,7 @@ class Charging:
     # --- who goes to a charger ------------------------------------------------------------------------------------
 
     def next_to_go(self) -> Iterator[tuple[Agv, Vertex]]:
-        """AGVs that go to a charger now, each with the charger, which is promised to it."""
+        """AGVs that leave for a charger now, each with the charger promised to it."""
         free = self._free_chargers()
         going = [agv for agv in self.agvs if agv.due and self._may_go(agv)]
         if not going and free:
@@ -127,10 +128,10 @@ class Charging:
             yield agv, charger
 
     def gives_way(self) -> Agv | None:
-        """An AGV on its way to a charger that has to leave it to one in the queue.
+        """The AGV that must give up its promised charger to an AGV in the queue, if any.
 
-        An AGV that cannot move keeps no charger from others. An AGV that could still work leaves its charger to one
-        that lacks the charge for a task, if that one is there before the other would have charged.
+        An AGV that cannot move gives up its charger. An AGV that could still work gives up its charger to an AGV that
+        lacks the charge for a task, provided that the second AGV arrives before the first one would have charged.
         """
         queue = [self.agvs[n] for n in self._queued if self._may_go(self.agvs[n])]
         if not queue or self._free_chargers():
@@ -148,7 +149,7 @@ class Charging:
         return agv.goal not in self.executor.agvs[agv.number].trail
 
     def _rank(self, agv: Agv) -> tuple[float, AgvNumber]:
-        """The lower the sooner: the state of charge, less ``AGE_SOC`` for each whole charge that it has waited for."""
+        """Rank in the queue, lowest first: state of charge, less ``AGE_SOC`` per full charge's time spent waiting."""
         if not self.rules.by_charge:
             return 0.0, agv.number
         waited = self._step - self._queued.get(agv.number, self._step)
@@ -158,7 +159,7 @@ class Charging:
         return self.executor.agvs[agv.number].last
 
     def _may_go(self, agv: Agv) -> bool:
-        """It is free of tasks, and where it is to be looked at."""
+        """Whether the AGV has no task and needs a decision about charging."""
         if agv.mode not in FREE_MODES or agv.action is not None or agv.immobile or agv.off_duty:
             return False
         return self.rules.charge_anywhere or self._at(agv) == agv.home or self._at(agv) in self.garage.slot_of
@@ -175,7 +176,7 @@ class Charging:
             self.log(Event("charge_wait", agv.number, detail={"soc": round(agv.soc, 4)}))
 
     def _early(self) -> list[Agv]:
-        """The emptiest AGV that may go, if it has to charge before it is due."""
+        """The emptiest AGV that may charge early, if the chargers are scarce."""
         rules = self.rules
         if not self._news or not rules.by_charge:
             return []
@@ -189,9 +190,9 @@ class Charging:
     # --- who takes a task -----------------------------------------------------------------------------------------
 
     def in_turn(self, at: dict[AgvNumber, Vertex]) -> list[dict[AgvNumber, Vertex]]:
-        """Available AGVs in the order in which they are offered tasks: who is due takes what the others leave.
+        """Available AGVs in the order in which they are offered tasks. AGVs that are due come last.
 
-        An AGV that lacked the charge for a task is offered none until it has charged, if it can.
+        An AGV that lacked the charge for a task is offered no task until it has charged, if it can charge.
         """
         if not self.rules.by_charge:
             return [at]
@@ -200,12 +201,12 @@ class Charging:
         return [{n: v for n, v in at.items() if n not in due}, last]
 
     def takes(self, agv: Agv, origin: Vertex, destination: Vertex) -> bool:
-        """Whether an AGV without a task has the charge for one, and takes it; else the AGV is due.
+        """Whether a free AGV has enough charge for a task and takes it. Otherwise the AGV becomes due.
 
         Args:
             agv: the AGV.
-            origin: where the car stands.
-            destination: where it goes; -1 is the nearest bay.
+            origin: vertex where the car stands.
+            destination: vertex where the car goes; -1 is the nearest bay.
         """
         if not self.rules.by_charge or not self._chargers:
             return True
@@ -221,7 +222,7 @@ class Charging:
         return True
 
     def task_done(self, agv: Agv) -> None:
-        """Learn from what a task has taken of the charge."""
+        """Learn from the charge that a finished task has taken."""
         if agv.number in self._under_way:
             soc, steps = self._under_way.pop(agv.number)
             self._spent += max(0.0, soc - agv.soc)
@@ -232,9 +233,9 @@ class Charging:
         return any(self.costs.to(c)[here] < FOREVER for c in self._open_chargers())
 
     def _task_steps(self, agv: Agv, origin: Vertex, destination: Vertex) -> tuple[int, int]:
-        """Steps to the car and with it to where it goes, lifts included; and from there home and to a charger.
+        """Steps to the car and on to its destination, lifts included; then the steps home and on to a charger.
 
-        Turns with the car and waits are left out: what a task takes is learnt per step of this way.
+        Turns with the car and waits are left out: the charge of a task is learnt per step of this way.
         """
         costs, rules = self.costs, self.rules
         if destination < 0:

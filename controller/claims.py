@@ -1,7 +1,7 @@
-"""Who has been promised which bay or charger, and who comes next to a bay.
+"""Promises of bays and chargers to AGVs, and the next AGV at each bay.
 
-Each place is promised to one AGV at a time. Where no bay is free, an AGV that waits with a car is promised one that an
-AGV at work there is about to leave; it is planned to come when that one has gone.
+Each place is promised to one AGV at a time. When no bay is free, an AGV waiting with a car may be promised a bay where
+another AGV is finishing its work. Its arrival is planned for after that AGV has left.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class Claims:
     Attributes:
         garage, agvs, executor, costs: read only.
         lift_steps: steps to lift a car at a bay.
-        holder: by place the AGV it is promised to.
-        next: by bay the AGV that comes when the holder has left.
+        holder: for each place, the AGV it is promised to.
+        next: for each bay, the AGV that comes after the holder.
     """
 
     garage: Garage
@@ -42,7 +42,7 @@ class Claims:
     next: dict[Vertex, AgvNumber] = field(default_factory=dict)
 
     def nearer_to_bays(self, a: Vertex, b: Vertex) -> bool:
-        """From the first vertex it is less far with a car to some bay than from the second one to any."""
+        """Whether vertex ``a`` is closer than vertex ``b`` to its nearest bay, for a loaded AGV."""
         return bool(self._steps_to_bays[a] < self._steps_to_bays[b])
 
     @cached_property
@@ -52,33 +52,33 @@ class Claims:
         return nearest
 
     def release(self, place: Vertex, agv: AgvNumber) -> None:
-        """The AGV has done what it came for, or does not come."""
+        """Withdraw a promise: the AGV has finished its work there, or does not come."""
         for promised in (self.holder, self.next):
             if promised.get(place) == agv:
                 del promised[place]
 
     def move_up(self) -> None:
-        """Let who comes next have the bays that have been released."""
+        """Promise released bays to the AGVs that come next."""
         for bay in [bay for bay in self.next if bay not in self.holder]:
             self.holder[bay] = self.next.pop(bay)
 
     def promise_bays(
         self, waiting: Mapping[AgvNumber, Task], step: int, closed: frozenset[Vertex], behind_others: bool
     ) -> dict[AgvNumber, Vertex]:
-        """Promise bays to AGVs that carry a car to one.
+        """Promise bays to AGVs that carry a car to a bay.
 
         Args:
-            waiting: their tasks, by AGV number.
-            step: now.
-            closed: vertices that are out of order.
-            behind_others: bays may be promised that are about to be left.
+            waiting: tasks of these AGVs, by AGV number.
+            step: current step.
+            closed: vertices out of order.
+            behind_others: also promise bays that another AGV is about to leave.
 
         Returns:
             The bay of each AGV that gets one.
         """
         at = {n: self.executor.agvs[n].last for n in waiting}
         since_s = {n: task.lifted_s for n, task in waiting.items()}
-        # an occupied outbound place frees when its customer has got in: count it as half a lift
+        # a taken outbound place frees once its customer has got in; half a lift is a fair estimate of the wait
         free = {
             bay: self.lift_steps // 2 if places.outbound else 0
             for bay, places in self.garage.bays.items()
@@ -91,9 +91,9 @@ class Claims:
         return chosen
 
     def _leaving(self, step: int, closed: frozenset[Vertex]) -> dict[Vertex, int]:
-        """Bays that an AGV at work there is about to leave, with the steps until it has.
+        """Bays that a working AGV is about to leave, with the steps until the bay is free.
 
-        Not where a customer is still busy: that car is better taken by the AGV that is there already.
+        A bay where a customer is still busy is left out: the AGV already there takes that customer's car.
         """
         found = {}
         for bay, n in self.holder.items():
@@ -106,10 +106,10 @@ class Claims:
         return found
 
     def only(self, step: int) -> dict[Vertex, AgvNumber]:
-        """Places with the only AGV that may fetch a car there.
+        """For each place, the only AGV that may fetch a car there.
 
-        A bay that has just been released is for the one that comes next, but who has been at work there takes the car
-        that waits if it need not wait for its customer.
+        A bay just released belongs to the AGV that comes next. The AGV that has been at work there goes first if it can
+        take the car waiting at the bay without waiting for the customer.
         """
         only = dict(self.holder)
         for bay, comes in self.next.items():

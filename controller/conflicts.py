@@ -1,7 +1,7 @@
-"""The one checker of plans: which agents meet, and every reason why a plan can't be driven.
+"""The checker of plans: it finds agents that meet, and every reason why a plan cannot be driven.
 
-It shares no code with the planners and the searches below them. Occupation of vertices is as documented at
-``controller.types.Path``: half-open intervals of steps.
+The checker shares no code with the planners and their searches. ``controller.types.Path`` defines when a vertex is
+occupied: in half-open intervals of steps.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from sumo_nets.numbering import EdgeIndex, Vertex
 
 
 class _Visit(NamedTuple):
-    """A path's ``i``-th vertex belongs to its agent in the steps ``start`` to ``end`` (exclusive)."""
+    """The ``i``-th vertex of a path belongs to its agent from step ``start`` to step ``end`` (exclusive)."""
 
     start: int
     end: int
@@ -25,7 +25,7 @@ class _Visit(NamedTuple):
 
 
 class _Move(NamedTuple):
-    """An agent drives from ``tail`` to ``head``, where it arrives at ``step``."""
+    """An agent drives from ``tail`` to ``head`` and arrives at ``step``."""
 
     agv: AgvNumber
     tail: Vertex
@@ -38,14 +38,14 @@ def find_conflicts(paths: Iterable[Path], motion: Motion, until: int = FOREVER) 
 
     Args:
         paths: one path per agent.
-        motion: says whether a vertex may be entered in the step in which it is left.
-        until: conflicts that begin at this step or later don't count.
+        motion: decides whether a vertex may be entered in the step in which it is left.
+        until: conflicts starting at this step or later do not count.
 
     Returns:
         Conflicts by (step, vertex, agents). Two agents that overlap at several places have one conflict for each, so
         head-on agents whose bodies need both vertices have a "swap" at either vertex. A swap without overlap is
-        named by the lower AGV number and the vertex that it enters. Three or more that each enter the vertex that the
-        next one leaves are no conflict where following is allowed.
+        named by the lower AGV number and the vertex that it enters. Three or more may move in a ring. Each enters
+        the vertex that the next one leaves; this is no conflict where following is allowed.
     """
     paths = list(paths)
     found = [*_overlaps(paths, motion.following)]
@@ -55,12 +55,12 @@ def find_conflicts(paths: Iterable[Path], motion: Motion, until: int = FOREVER) 
 
 
 def validate(problem: PlanningProblem, result: PlanResult, one_move: bool = False) -> list[str]:
-    """Every reason why a plan may not be carried out, in words; empty if there is none.
+    """All reasons why a plan may not be carried out, in words; empty if there is no reason.
 
-    Checked against the problem: who is planned, starts, neighbours, blocked vertices, durations, order of times, how
+    The checks cover the problem: agents, starts, neighbours, blocked vertices, durations, order of times, how
     far paths reach, and conflicts with each other and with the fixed paths inside the window. Agents in
     ``result.failed`` keep their fixed path if they have one, else they stand at their start for the whole window.
-    With ``one_move`` paths may end before the window does: what comes after the move is not promised to anybody.
+    With ``one_move`` paths may end before the window does: the vertex after the move is reserved for no agent.
     """
     agents = {agent.agv: agent for agent in (*problem.carrying, *problem.agents)}
     asked = {agent.agv for agent in problem.agents}
@@ -94,7 +94,7 @@ def _visits(path: Path, following: bool) -> Iterator[_Visit]:
 
 
 def _overlaps(paths: list[Path], following: bool) -> Iterator[Conflict]:
-    """Sweep each vertex's visits in order of time."""
+    """Find overlapping visits at each vertex, in order of time."""
     by_vertex: defaultdict[Vertex, list[_Visit]] = defaultdict(list)
     for path in paths:
         for visit in _visits(path, following):
@@ -124,14 +124,14 @@ def _overlap(vertex: Vertex, first: _Visit, second: _Visit) -> Conflict:
 
 
 def _head_on(a: _Visit, b: _Visit) -> bool:
-    """Whether ``a`` drives away from this vertex over the edge on which ``b`` comes, at the same time."""
+    """Whether ``a`` leaves this vertex over the edge on which ``b`` arrives, at the same time."""
     if a.i >= len(a.path.depart) or b.i == 0 or a.path.vertices[a.i + 1] != b.path.vertices[b.i - 1]:
         return False
     return a.path.depart[a.i] < b.path.arrive[b.i] and b.path.depart[b.i - 1] < a.path.arrive[a.i + 1]
 
 
 def _leaving(paths: Iterable[Path]) -> defaultdict[int, dict[Vertex, _Move]]:
-    """Moves by step of arrival and by the vertex left."""
+    """Moves by step of arrival and by the vertex they leave."""
     moves: defaultdict[int, dict[Vertex, _Move]] = defaultdict(dict)
     for p in paths:
         for i in range(1, len(p.vertices)):
@@ -140,7 +140,7 @@ def _leaving(paths: Iterable[Path]) -> defaultdict[int, dict[Vertex, _Move]]:
 
 
 def _swaps(paths: list[Path]) -> Iterator[Conflict]:
-    """Pairs of agents that arrive in one step, each where the other one left."""
+    """Pairs of agents that exchange vertices in one step."""
     for step, leaving in _leaving(paths).items():
         for move in leaving.values():
             other = leaving.get(move.head)
@@ -149,7 +149,7 @@ def _swaps(paths: list[Path]) -> Iterator[Conflict]:
 
 
 def _path_faults(problem: PlanningProblem, agent: PlanAgent, path: Path) -> Iterator[str]:
-    """What is wrong with one path by itself."""
+    """Errors within one path."""
     v = path.vertices
     if path.agv != agent.agv:
         yield f"its path is that of AGV {path.agv}"
@@ -178,7 +178,7 @@ def _path_faults(problem: PlanningProblem, agent: PlanAgent, path: Path) -> Iter
 def _move_faults(
     problem: PlanningProblem, agent: PlanAgent, path: Path, i: int, ready: int, edge_in: EdgeIndex, edge: EdgeIndex
 ) -> Iterator[str]:
-    """What is wrong with the move from the i-th to the next vertex of a path."""
+    """Errors in the move from the i-th to the next vertex of a path."""
     u, w, depart = path.vertices[i], path.vertices[i + 1], path.depart[i]
     earliest = ready + problem.motion.turn(problem.graph, edge_in, edge, agent.loaded)
     if depart < earliest:

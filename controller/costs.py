@@ -1,8 +1,8 @@
-"""Driving costs between places, for choosing AGVs, slots and bays. Other AGVs are left out of the account.
+"""Driving costs between places, for choosing AGVs, slots and bays. Other AGVs are ignored.
 
-``to`` and ``out_of`` leave turns out, count every slot as passable and are made once for each place; ``turning_to`` and
-``turning_to_any`` are with turns, the first one free, and pass no slot where there is another way; ``around`` takes
-parked cars as walls, as they stand now.
+``to`` and ``out_of`` ignore turns and let AGVs pass every slot; their tables are computed once for each place.
+``turning_to`` and ``turning_to_any`` count turns, except the first one, and use slots only where no other way exists.
+``around`` treats the cars parked at present as walls.
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ from sumo_nets.numbering import Vertex
 
 
 class Costs:
-    """Steps an empty AGV drives to a place from every vertex, or from it to every one; tables made when asked for.
+    """Steps that an empty AGV drives to a place, or from a place. Tables are computed on demand.
 
     Args:
-        graph, motion: the garage and how long moves take.
-        blocked: where nobody may drive now, shape (n,); looked at whenever ``around`` is called.
-        max_bytes: memory for tables; the one not used for longest goes first. There should be room for one an AGV.
+        graph, motion: the garage, and the duration of each move.
+        blocked: 1 where no AGV may drive at present, shape (n,); ``around`` reads it at each call.
+        max_bytes: memory limit for tables. The least recently used table is dropped first. Allow at least one table for
+            each AGV.
 
     Attributes:
         blocked: see above.
-        expanded: vertices expanded so far.
+        expanded: number of vertices expanded so far.
     """
 
     def __init__(self, graph: Graph, motion: Motion, blocked: NDArray[np.uint8], max_bytes: int = 1 << 28) -> None:
@@ -50,15 +51,15 @@ class Costs:
         self.expanded = 0
 
     def to(self, goal: Vertex) -> IntArray:
-        """Steps from each vertex to the goal, shape (n,); ``FOREVER`` where it cannot be reached."""
+        """Steps from each vertex to the goal, shape (n,); ``FOREVER`` where there is no way."""
         return self._kept(goal, "to", lambda: _dijkstra(goal, self._open, *self._into))
 
     def out_of(self, start: Vertex) -> IntArray:
-        """Steps from a vertex to each other one, shape (n,); one-way lanes make that another way than ``to`` it."""
+        """Steps from a vertex to every vertex, shape (n,). One-way lanes make this differ from ``to``."""
         return self._kept(start, "out_of", lambda: _dijkstra(start, self._open, *self._out_of))
 
     def turning_to(self, goal: Vertex, loaded: bool = False) -> IntArray:
-        """Steps to the goal from each vertex, shape (n,); ``FOREVER`` where it cannot be reached."""
+        """Steps from each vertex to the goal with turns counted, shape (n,); ``FOREVER`` where there is no way."""
         return self._kept(goal, "loaded" if loaded else "empty", lambda: self._to_one(goal, loaded))
 
     def _to_one(self, goal: Vertex, loaded: bool) -> tuple[IntArray, int]:
@@ -66,7 +67,7 @@ class Costs:
         return table.astype(np.int32), expanded
 
     def turning_to_any(self, goals: Sequence[Vertex], more: Sequence[float]) -> FloatArray:
-        """From each vertex the least of the steps to one of the goals and what that one costs ``more``, shape (n,)."""
+        """From each vertex, the least steps to any goal plus the extra cost of that goal in ``more``, shape (n,)."""
         table, expanded = self._turning(goals, more, False)
         self.expanded += expanded
         return table
@@ -94,9 +95,9 @@ class Costs:
         return table
 
     def around(self, start: Vertex, blocked: NDArray[np.uint8] | None = None) -> IntArray:
-        """Steps from a vertex to each other one, shape (n,), by ways that pass no parked car, or no ``blocked`` vertex.
+        """Steps from a vertex to every vertex, shape (n,), by ways around parked cars, or around ``blocked`` vertices.
 
-        A blocked vertex may be where a way ends. ``FOREVER`` where there is no way.
+        A way may end at a blocked vertex. ``FOREVER`` where there is no way.
         """
         table: IntArray
         table, expanded = _dijkstra(start, self.blocked if blocked is None else blocked, *self._out_of)
@@ -104,7 +105,7 @@ class Costs:
         return table
 
     def way(self, start: Vertex, goal: Vertex, walls: NDArray[np.uint8]) -> list[Vertex]:
-        """The vertices of a shortest way, turns left out, that passes no wall; without the start, empty if none."""
+        """Vertices of a shortest way around all walls, without the start; empty if there is none. Turns are ignored."""
         way = _descend(start, goal, self.to(goal), walls, *self._out_of)
         if not len(way):
             table, expanded = _dijkstra(goal, walls, *self._into)
@@ -115,7 +116,7 @@ class Costs:
 
 @njit(cache=True)
 def _descend(start, goal, to, walls, first, heads, steps):  # type: ignore[no-untyped-def]
-    """From vertex to vertex so that the steps to the goal fall by those of each lane; empty if walls are in the way."""
+    """Follow the lanes along which the steps to the goal decrease. Empty if walls stand in the way."""
     way = np.empty(len(to), dtype=np.int64)
     size, v = 0, start
     while v != goal and to[v] < FOREVER:
@@ -134,7 +135,7 @@ def _descend(start, goal, to, walls, first, heads, steps):  # type: ignore[no-un
 
 @njit(cache=True)
 def _dijkstra(root, blocked, first, ends, steps):  # type: ignore[no-untyped-def]
-    """From the root over the lanes of each vertex, whose other ends are given; blocked vertices are not passed."""
+    """Search outward from the root; ``ends`` holds the far end of each lane. Blocked vertices are not passed."""
     g = np.full(len(first) - 1, FOREVER, dtype=np.int32)
     g[root] = 0
     OPEN = [(np.int32(0), np.int32(root))]
@@ -157,9 +158,10 @@ def _dijkstra(root, blocked, first, ends, steps):  # type: ignore[no-untyped-def
 
 @njit(cache=True)
 def _towards(goals, more, loaded, ends, lanes):  # type: ignore[no-untyped-def]
-    """From several goals backwards, each begun at what it costs more, over edges, so that turns count.
+    """Search backwards from several goals over edges, so that turns count. Each goal starts at its extra cost.
 
-    OPEN holds edges with the cost from their head on; nobody drives through ``ends``, so they are only looked at.
+    OPEN, the queue of the search, holds edges with the cost from their head onwards. Vertices in ``ends`` are reached
+    but never driven through.
     """
     row = int(loaded)
     cost = np.full(len(lanes.first_out) - 1, float(FOREVER))

@@ -1,4 +1,4 @@
-"""Dispatch: which AGV takes which task. Rules stand in the table ``DISPATCH``. Slots and bays: ``places``."""
+"""Dispatch assigns tasks to AGVs. The table ``DISPATCH`` holds the rules. ``places`` chooses slots and bays."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from sumo_nets.numbering import Vertex
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """An open task for an AGV, with where to fetch the car.
+    """An open task offered to an AGV.
 
     Attributes:
         task: the task.
         agv: number of the AGV.
-        origin: vertex where the car is fetched.
+        origin: vertex where the AGV fetches the car.
     """
 
     task: Task
@@ -30,12 +30,12 @@ class Offer:
     origin: Vertex
 
 
-#: How many tasks ``nearest_task`` looks at, and the seconds of driving that a second of waiting outweighs.
+#: ``OLDEST``: number of tasks ``nearest_task`` compares. ``AGE_WEIGHT``: seconds of driving per second of waiting.
 OLDEST = 400
 AGE_WEIGHT = 0.2
 
-#: A rule gets the open tasks in the order in which they were opened, the vertices of the available AGVs, the origins
-#: that are taken by an AGV, and the costs. The task of a parked car is opened when the car is asked for; the task of a
+#: A rule gets the open tasks in order of opening, the vertices of the available AGVs, the origins promised to an AGV,
+#: and the costs. The task of a parked car is opened when the car is asked for; the task of a
 #: car to be parked is opened when the car stands at a bay. The rule returns offers; each AGV, each task and each origin
 #: occurs at most once.
 Rule = Callable[[Sequence[Task], Mapping[AgvNumber, Vertex], Mapping[Vertex, AgvNumber], Costs], list[Offer]]
@@ -44,7 +44,7 @@ Rule = Callable[[Sequence[Task], Mapping[AgvNumber, Vertex], Mapping[Vertex, Agv
 def nearest_agv(
     tasks: Sequence[Task], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
 ) -> list[Offer]:
-    """Tasks in the order in which they were opened; each gets the available AGV that is nearest to the car."""
+    """First task first: each task, oldest first, gets the available AGV closest to its car."""
     free = dict(at)
     busy = dict(taken)
     offers = []
@@ -56,7 +56,7 @@ def nearest_agv(
             continue
         if holder >= 0:
             agv = holder
-        elif task.origin < 0:  # cars stand ready at every home
+        elif task.origin < 0:  # a car stands ready at every home
             agv = min(free)
         else:
             to = costs.to(task.origin)
@@ -71,11 +71,11 @@ def nearest_agv(
 def nearest_task(
     tasks: Sequence[Task], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
 ) -> list[Offer]:
-    """Of the oldest tasks and the available AGVs the pair with the shortest way, then the next one.
+    """Repeatedly pair the AGV and task with the shortest way, among the oldest tasks and the available AGVs.
 
-    An AGV that has brought a car to a bay takes the one that waits there, and of many cars that are asked for those on
-    its way go first; both save empty ways. Each second that a request is older counts as ``AGE_WEIGHT`` seconds of
-    driving, so that nobody is passed over for ever.
+    Two effects save empty driving: an AGV that has delivered a car to a bay takes the car waiting at that bay, and
+    among many requested cars those close to an AGV go first. Each second that a request has waited counts as
+    ``AGE_WEIGHT`` seconds of driving, so that no request is passed over for ever.
     """
     oldest = oldest_first(tasks)
     agvs = np.array(sorted(at))
@@ -83,7 +83,7 @@ def nearest_task(
     younger_s = np.array([task.requested_s for task in oldest]) - oldest[0].requested_s
     cost = np.repeat(AGE_WEIGHT * younger_s[:, None] / costs.step_s, len(agvs), axis=1)
     for row, task in zip(cost, oldest, strict=True):
-        if task.origin >= 0:  # else a car stands ready at every home
+        if task.origin >= 0:  # otherwise a car stands ready at every home
             row += costs.turning_to(task.origin)[here]
         if taken.get(task.origin, NO_AGV) >= 0:
             row[agvs != taken[task.origin]] = np.inf
@@ -91,12 +91,12 @@ def nearest_task(
 
 
 def oldest_first(tasks: Sequence[Task]) -> list[Task]:
-    """The ``OLDEST`` tasks that were asked for first, in that order."""
+    """The ``OLDEST`` oldest requests, in order of request time."""
     return nsmallest(OLDEST, tasks, key=lambda task: (task.requested_s, task.number))
 
 
 def pairs(cost: FloatArray) -> Iterator[tuple[int, int]]:
-    """Rows and columns paired off, the cheapest pair first, each once; infinite is no pair. ``cost`` is used up."""
+    """Match rows with columns, cheapest pair first. Infinite entries are never matched. ``cost`` is overwritten."""
     for _ in range(min(cost.shape)):
         row, column = divmod(int(cost.argmin()), cost.shape[1])
         if cost[row, column] == np.inf:
@@ -108,7 +108,7 @@ def pairs(cost: FloatArray) -> Iterator[tuple[int, int]]:
 def in_id_order(
     tasks: Sequence[Task], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
 ) -> list[Offer]:
-    """AGVs in order of their numbers; each takes the first task whose place is not taken (thesis 2025)."""
+    """In order of their numbers, AGVs take the first task whose place is not taken (thesis 2025)."""
     busy = dict(taken)
     left = list(tasks)
     offers = []
@@ -126,9 +126,9 @@ def in_id_order(
 def first_come(
     tasks: Sequence[Task], at: Mapping[AgvNumber, Vertex], taken: Mapping[Vertex, AgvNumber], costs: Costs
 ) -> list[Offer]:
-    """AGVs in order of their numbers; a car is parked in its turn, but of those to be fetched the nearest goes first.
+    """In order of their numbers, AGVs take parking tasks in turn, but fetch the nearest requested car.
 
-    So the thesis (2025) fetches cars: whichever parked car is nearest to the AGV as the cars stand now.
+    The thesis (2025) retrieves cars this way. "Nearest" counts the way around the cars parked at present.
     """
     left = [task for task in tasks if task.is_park == tasks[0].is_park]
     if left[0].is_park:

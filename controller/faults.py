@@ -1,13 +1,13 @@
-"""What the controller is told of faults, and how it answers.
+"""What the controller learns of faults, and how it responds.
 
-A real controller learns that an AGV does not answer to commands, that a sensor has seen a person in a lane, that a bay
-is out of order. It does not learn that an AGV is late or slow: it only sees where the AGV is. The answers:
+A real controller learns that an AGV ignores commands, that a sensor has seen a person in a lane, or that a bay is out
+of order. It does not learn that an AGV is late or slow: it only sees the AGV's position. The responses are:
 
-- an AGV that can't move stands reserved like all others, with all that was granted to it, and is planned round;
-- a broken AGV's task is given back to the open ones, unless the car is on it: then it keeps the task;
-- what is closed is granted to nobody and planned round; goals there are changed where another will do, and are waited
-  for where not;
-- all other AGVs go on: service is degraded, not stopped.
+- An AGV that cannot move stays reserved with all vertices granted to it. Other AGVs are planned around it.
+- A broken AGV's task returns to the open tasks. If the car is already on the AGV, the AGV keeps the task.
+- A closed vertex is granted to no AGV and planned around. A goal there is replaced where possible; otherwise the AGV
+  waits for the vertex to open.
+- All other AGVs continue: service is degraded, not stopped.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ FaultKind = Literal[
     "tow", "repair", "late", "lost",
 ]  # fmt: skip
 
-#: Kinds of fault that AGVs report: they cannot move.
+#: Kinds of fault that AGVs report and that stop them.
 IMMOBILE: frozenset[FaultKind] = frozenset({"breakdown", "repair", "battery", "zone_stop", "all_stop"})
-#: Kinds after whose start an AGV gets no new task until they are over.
+#: Kinds of fault that exclude an AGV from new tasks until the fault is over.
 OFF_DUTY: frozenset[FaultKind] = frozenset({"breakdown", "tow", "repair", "battery"})
-#: Kinds that close places for so long that goals there are changed; for the end of an emergency stop one waits.
+#: Kinds that close places for long enough to change goals there. After an emergency stop, AGVs wait instead.
 CLOSING: frozenset[FaultKind] = frozenset({"blocked", "bay", "charger"})
-#: Kinds the controller is told of.
+#: Kinds reported to the controller.
 REPORTED = IMMOBILE | OFF_DUTY | CLOSING
 
 
 @dataclass(frozen=True, slots=True)
 class FaultReport:
-    """A fault begins or ends.
+    """The start or end of a fault.
 
     Attributes:
         number: count of faults in the run; start and end have the same.
@@ -59,13 +59,13 @@ class FaultReport:
 
 @dataclass(slots=True)
 class Outages:
-    """What is out of order, as far as the controller was told. Faults overlap, so they are counted.
+    """AGVs and vertices that are out of order, as far as the controller knows. Overlapping faults are counted.
 
     Attributes:
         immobile: AGVs that cannot move.
         off_duty: AGVs that get no task.
-        closed: vertices that nobody may enter.
-        running: the faults that have begun and not ended, by number.
+        closed: vertices that no AGV may enter.
+        running: faults that have begun and not ended, by number.
     """
 
     immobile: Counter[AgvNumber] = field(default_factory=Counter)
@@ -75,7 +75,7 @@ class Outages:
     _closed: Counter[Vertex] = field(default_factory=Counter)
 
     def take(self, fault: FaultReport) -> None:
-        """Take note of a fault that begins or ends."""
+        """Record the start or end of a fault."""
         if fault.started:
             self.running[fault.number] = fault
         else:
@@ -89,7 +89,7 @@ class Outages:
             self.closed = frozenset(self._closed)
 
     def holding(self, agv: AgvNumber) -> tuple[int, ...]:
-        """Numbers of the faults because of which an AGV cannot move."""
+        """Numbers of the faults that stop an AGV."""
         return tuple(n for n, fault in self.running.items() if fault.kind in IMMOBILE and agv in fault.agvs)
 
     def closing(self, vertex: Vertex) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""What the ACS keeps about each AGV, and the thesis's priority formula."""
+"""What the ACS stores about each AGV, and the thesis's priority formula."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from controller.garage import Task
 from controller.types import Action, AgvMode, AgvNumber
 from sumo_nets.numbering import NO_VERTEX, Vertex
 
-#: Base priority by state (thesis 2025, III-2): a car on its way out first, then charging, then work on cars.
+#: Base priority by state (thesis 2025, III-2): first AGVs bringing cars out, then charging, then other work on cars.
 BASE_PRIORITY = {
     AgvMode.RETURNING_WITH_CAR: 3,
     AgvMode.GOING_TO_CHARGE: 2,
@@ -16,7 +16,7 @@ BASE_PRIORITY = {
     AgvMode.GOING_TO_COLLECT: 1,
 }
 
-#: States in which an AGV may get a task or be sent to charge.
+#: States in which an AGV may get a task or go charging.
 FREE_MODES = frozenset({AgvMode.IDLE, AgvMode.RETURNING_HOME_EMPTY})
 
 
@@ -26,7 +26,7 @@ class StuckBoost:
 
     Attributes:
         step: boost for each tick an AGV has been stuck.
-        after: stuck ticks from which on the boost is ``most``.
+        after: number of stuck ticks from which the boost is ``most``.
         most: the boost of an AGV that has been stuck for long.
     """
 
@@ -35,11 +35,11 @@ class StuckBoost:
     most: int = 1000
 
     def of(self, stuck: int) -> int:
-        """The boost after so many stuck ticks."""
+        """The boost after this many stuck ticks."""
         return self.most if stuck >= self.after else self.step * stuck
 
     def raised(self, times: float) -> StuckBoost:
-        """So many times steeper, and at its most so many times sooner."""
+        """A boost that grows ``times`` times faster and reaches its maximum ``times`` times sooner."""
         return StuckBoost(round(times * self.step), max(1, round(self.after / times)), self.most)
 
 
@@ -50,16 +50,16 @@ class Agv:
     Attributes:
         number: number of the AGV.
         home: vertex where it rests.
-        goal: vertex it has to reach now.
+        goal: vertex the AGV has to reach now.
         mode: one of the eight states.
-        task: what it works on.
+        task: the task the AGV works on.
         action: action under way at the goal.
-        then: where it goes when that action has ended, -1 while its way there is not to be planned yet.
+        then: destination after this action, for planning the departure early; -1 while it is not to be planned.
         soc: state of charge, 0 to 1.
-        due_at: state of charge at or below which it has to charge; -1 while it need not, or has a charger.
-        tasks_done: how many tasks it has completed.
-        immobile: it has reported a fault and cannot move.
-        off_duty: it gets no task until its fault is repaired.
+        due_at: state of charge at or below which the AGV has to charge; -1 if it need not charge or has a charger.
+        tasks_done: number of completed tasks.
+        immobile: the AGV has reported a fault and cannot move.
+        off_duty: the AGV gets no task until its fault is repaired.
     """
 
     number: AgvNumber
@@ -77,12 +77,12 @@ class Agv:
 
     @property
     def due(self) -> bool:
-        """It has to charge and has no charger yet."""
+        """Whether the AGV has to charge and has no charger yet."""
         return self.soc <= self.due_at
 
     @property
     def heads_for(self) -> Vertex:
-        """Where its plan has to end."""
+        """Vertex where the AGV's plan has to end."""
         return self.goal if self.then < 0 else self.then
 
 
@@ -91,8 +91,8 @@ def priority(agv: Agv, stuck: int, boost: StuckBoost) -> int:
 
     Args:
         agv: the AGV.
-        stuck: how many moves it could have made while it stood waiting.
-        boost: how far that raises its priority.
+        stuck: time the AGV has stood waiting, in moves.
+        boost: effect of this time on the priority.
 
     Returns:
         ``Base * 100 + StuckBoost - id``.

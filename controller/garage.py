@@ -1,12 +1,13 @@
-"""The garage's books: where every car is, what every customer wants, which slots, bays and places are taken.
+"""The garage's books: where each car is, what each customer wants, and which slots and bays are taken.
 
-It knows vertices but nothing of AGVs' ways. Times are seconds. A request is the customer's wish, and a ``Task`` is
-what the ACS makes of it. The time stamps of a task tell its life; ``Garage.audit`` checks that nothing got lost.
+The books know vertices but no routes. Times are in seconds. A *request* is a customer's wish; a ``Task`` is the work
+that the ACS derives from the request. Time stamps in a task record its progress. ``Garage.audit`` checks that no car
+and no request is lost.
 
-A customer who comes with a car is turned away when every slot is taken or promised: by cars in slots, and by cars that
-have come and are not in their slots yet. A car on its way out needs no slot as soon as it is lifted. A customer also
-turns away when the queue is too long for him. Requests that mean nothing are void: to fetch a car that is not there or
-is asked for already, or to park one that is inside; so is a request to fetch a car that was turned away.
+A customer arriving with a car is *turned away* in two cases: every slot is taken or promised, or the queue is too long
+for this customer. A slot is promised to each car that has arrived but is not in its slot. A car on its way out needs
+no slot once it is lifted. A request is *void* if it makes no sense: retrieving a car that is absent, turned away or
+already requested, or parking a car that is already inside.
 """
 
 from __future__ import annotations
@@ -36,18 +37,18 @@ from sumo_nets.numbering import NO_VERTEX, NumberedList, Vertex
 
 TaskState = Literal["waiting", "served", "turned_away", "void"]
 
-#: Cars by which the pace of the queue is known: the last ones that had to wait.
+#: Number of cars that set the pace of the queue: the last cars that had to wait.
 _RECENT = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Customers:
-    """What customers do.
+    """How customers behave.
 
     Attributes:
-        handling_median_s, handling_sigma: lognormal distribution of the time that they need at the bay.
-        balk_cars: a customer turns away when this many cars wait in the queue; None: never.
-        balk_s: a customer turns away when the wait in the queue is expected to be this long, seconds; None: never.
+        handling_median_s, handling_sigma: lognormal distribution of the time a customer needs at the bay.
+        balk_cars: customers turn away when this many cars wait in the queue; None: customers never do.
+        balk_s: customers turn away when the expected wait in the queue reaches this many seconds; None: they never do.
     """
 
     handling_median_s: float = 60.0
@@ -58,17 +59,18 @@ class Customers:
 
 @dataclass(slots=True, eq=False)
 class Task:
-    """One request and what became of it.
+    """One request and its progress.
 
     Attributes:
         number: position among all requests of the run.
-        request: what was asked.
-        handling_s: how long the customer needs at the bay.
-        state: waiting until it is served; turned_away (the customer) or void (the request) from the start.
-        reason: why it was turned away or is void; what differs from case to case comes after a colon.
-        agv: AGV that serves it, -1 before assignment.
+        request: the customer's wish.
+        handling_s: seconds the customer needs at the bay.
+        state: "waiting" until the request is served; "turned_away" (the customer) or "void" (the request) from the
+            start.
+        reason: why the request was turned away or is void; details of the case follow a colon.
+        agv: number of the AGV that serves the request, -1 before assignment.
         origin, destination: vertices, -1 until known.
-        requested_s, at_bay_s, ready_s, assigned_s, lifted_s, delivered_s, done_s: when, NaN until then.
+        requested_s, at_bay_s, ready_s, assigned_s, lifted_s, delivered_s, done_s: time stamps, NaN until reached.
     """
 
     number: RequestNumber
@@ -89,7 +91,7 @@ class Task:
 
     @property
     def is_park(self) -> bool:
-        """A car comes in (otherwise it goes out)."""
+        """The car enters the garage; otherwise it leaves."""
         return self.request.kind is RequestKind.PARK
 
     @property
@@ -100,17 +102,17 @@ class Task:
 
 @dataclass(slots=True)
 class BayPlaces:
-    """The two places of a bay on the customers' side: None is free."""
+    """The customers' two places at a bay, one for arriving and one for leaving cars. None means free."""
 
     inbound: Task | None = None
     outbound: Task | None = None
 
 
 class StreetQueue:
-    """Customers that wait for a bay, in their order, and how fast the queue moves.
+    """Customers waiting for a bay in order of arrival, and the pace of the queue.
 
-    The wait that a customer has to expect is the number of cars in the queue times the time a car stands at its head.
-    That is the mean of the last cars that had to wait, or the time that the present head has stood there, if longer.
+    A customer's expected wait is the number of queued cars times the typical wait at the head of the queue. The typical
+    wait is the mean over the last cars that had to wait, or the wait of the present head if that is longer.
     """
 
     def __init__(self) -> None:
@@ -122,13 +124,13 @@ class StreetQueue:
         return len(self._tasks)
 
     def join(self, task: Task, now_s: float) -> None:
-        """A customer stands behind the others."""
+        """Add a customer to the end of the queue."""
         if not self._tasks:
             self._head_since_s = now_s
         self._tasks.append(task)
 
     def call(self, now_s: float) -> Task:
-        """The first customer leaves the queue for a bay."""
+        """Remove the first customer, who drives to a bay."""
         stood_s = now_s - self._head_since_s
         if stood_s > 0:
             self._stood_s.append(stood_s)
@@ -136,7 +138,7 @@ class StreetQueue:
         return self._tasks.popleft()
 
     def expected_s(self, now_s: float) -> float:
-        """How long a customer who comes now has to expect to wait, seconds."""
+        """Seconds that a customer arriving now must expect to wait."""
         if not self._tasks:
             return 0.0
         mean_s = sum(self._stood_s) / len(self._stood_s) if self._stood_s else 0.0
@@ -148,9 +150,9 @@ class Garage:
 
     Args:
         graph: the garage.
-        handover: "bay" (customers come through the street) or "home" (cars stand ready at each AGV's home).
+        handover: "bay" (customers arrive by the street) or "home" (cars stand ready at the home of each AGV).
         handling: seeded generator of the customers' handling times at the bay.
-        customers: what these times are like, and which queues are too long for customers.
+        customers: distribution of the handling times, and the queue lengths that customers accept.
     """
 
     def __init__(
@@ -191,10 +193,10 @@ class Garage:
     # --- requests -------------------------------------------------------------------------------------------------
 
     def place_initial(self, cars: Sequence[str], rng: np.random.Generator) -> None:
-        """Park cars before the run starts, in slots drawn at random.
+        """Park cars in randomly drawn slots before the run starts.
 
         Raises:
-            ValueError: more cars than slots.
+            ValueError: there are more cars than slots.
         """
         if len(cars) > len(self.graph.slots):
             raise ValueError(f"{len(cars)} cars for {len(self.graph.slots)} slots")
@@ -204,7 +206,7 @@ class Garage:
         self._inside = set(cars)
 
     def request(self, request: Request, now_s: float) -> Task:
-        """Enter a request in the books; its customer may be turned away at once, or it may be void."""
+        """Enter a request in the books. The customer may be turned away at once, or the request may be void."""
         task = Task(RequestNumber(len(self.tasks)), request, self._draw_handling(), requested_s=now_s)
         self.tasks.append(task)
         self.unfinished += 1
@@ -234,7 +236,7 @@ class Garage:
             self.queue.join(task, now_s)
 
     def _no_slot(self) -> str:
-        """Why there is no slot for one more car, empty if there is one."""
+        """Why there is no slot for another car; empty if there is a slot."""
         parked, queue = len(self.parked), len(self.queue)
         if parked + self.coming < len(self.graph.slots):
             return ""
@@ -244,7 +246,7 @@ class Garage:
         )
 
     def _too_long(self, now_s: float) -> str:
-        """Why the queue is too long for a customer, empty if it is not."""
+        """Why the queue is too long for this customer; empty if the queue is acceptable."""
         balk_cars, balk_s, cars = self._customers.balk_cars, self._customers.balk_s, len(self.queue)
         if balk_cars is not None and cars >= balk_cars:
             return f"queue too long: {cars} {'car' if cars == 1 else 'cars'}"
@@ -277,7 +279,7 @@ class Garage:
         self.unfinished -= 1
 
     def _draw_handling(self) -> float:
-        # drawn for every request in the order of requests, so that it does not depend on the controller
+        # draw a time for every request, in order: the sequence must not depend on the controller
         z = float(self._handling.standard_normal())
         sigma = self._customers.handling_sigma
         return 0.0 if self._handling_mu is None else float(np.exp(self._handling_mu + sigma * z))
@@ -285,7 +287,7 @@ class Garage:
     # --- customers' side of the bays ------------------------------------------------------------------------------
 
     def call_forward(self, now_s: float, closed: frozenset[Vertex] = frozenset()) -> list[Command]:
-        """Send waiting customers, in their order, to bays whose inbound place is free."""
+        """Send queued customers, in order, to bays with a free inbound place."""
         commands: list[Command] = []
         for bay, places in self.bays.items():
             if not self.queue:
@@ -298,7 +300,7 @@ class Garage:
         return commands
 
     def car_at_bay(self, request: RequestNumber, bay: Vertex, now_s: float) -> Task:
-        """A customer's car has stopped at the inbound place; the task is open from now on."""
+        """Record that the customer's car stands at the inbound place. The task is open from now on."""
         task = self.tasks[request]
         if self.bays[bay].inbound is not task:
             raise RuntimeError(f"the car of request {request} came to bay {bay}, where nobody called it")
@@ -308,19 +310,19 @@ class Garage:
         return task
 
     def waiting_at(self, bay: Vertex) -> Task | None:
-        """The car that stands at a bay and that no AGV has been sent for."""
+        """The car at the bay's inbound place, if no AGV has been sent for it."""
         task = self.bays[bay].inbound
         return task if task and task.agv < 0 and task.at_bay_s == task.at_bay_s else None
 
     def board(self, now_s: float) -> list[Command]:
-        """Let those customers drive off who have got into their cars."""
+        """Let customers leave the bay once they have got into their cars."""
         gone = [j for j in self._boarding if j.delivered_s + j.handling_s <= now_s]
         for task in gone:
             self._boarding.remove(task)
         return [DriveOff(j.number, j.destination) for j in gone]
 
     def car_left(self, request: RequestNumber, bay: Vertex, now_s: float) -> Task:
-        """A retrieved car has driven off: its request is served and the outbound place is free."""
+        """Record that a retrieved car has left. Its request is served and the outbound place is free."""
         task = self.tasks[request]
         if self.bays[bay].outbound is not task:
             raise RuntimeError(f"the car of request {request} left bay {bay}, where it did not stand")
@@ -331,7 +333,7 @@ class Garage:
     # --- AGVs' side -----------------------------------------------------------------------------------------------
 
     def assign(self, task: Task, agv: AgvNumber, now_s: float, origin: Vertex, slot: Vertex = NO_VERTEX) -> None:
-        """An AGV takes an open task; a parking task reserves its slot."""
+        """Assign an open task to an AGV. A parking task reserves its slot."""
         self.open.remove(task)
         task.agv, task.assigned_s, task.origin = agv, now_s, origin
         if task.is_park:
@@ -340,7 +342,7 @@ class Garage:
             self.slot_free[self._slot_number[slot]] = False
 
     def unassign(self, task: Task) -> None:
-        """Give a task back that its AGV has not lifted yet."""
+        """Return a task to the open tasks; its AGV has not lifted the car yet."""
         if task.is_park:
             self.reserved.pop(task.destination)
             self.slot_free[self._slot_number[task.destination]] = True
@@ -350,18 +352,18 @@ class Garage:
         self.open.insert(0, task)
 
     def move_reservation(self, task: Task, slot: Vertex) -> None:
-        """Reserve another slot for a car on its way to one."""
+        """Reserve another slot for a car on its way to a slot."""
         self.reserved[slot] = self.reserved.pop(task.destination)
         self.slot_free[self._slot_number[task.destination]] = True
         self.slot_free[self._slot_number[slot]] = False
         task.destination = slot
 
     def close(self, vertices: frozenset[Vertex]) -> None:
-        """Let no slot among these be chosen until this is called again."""
+        """Exclude these slots from new choices until the next call."""
         self.slot_open[:] = [slot not in vertices for slot in self.graph.slots]
 
     def lifted(self, task: Task, now_s: float) -> None:
-        """The car is on the AGV. Its slot is for others only when ``vacate`` says so."""
+        """Record that the car is on the AGV. Its slot stays reserved until ``vacate``."""
         task.lifted_s = now_s
         if task.is_park:
             if self.handover == "bay":
@@ -372,21 +374,21 @@ class Garage:
             self.blocked[slot] = 0
 
     def vacate(self, slot: Vertex) -> None:
-        """Whoever lifted the car in a slot has somewhere to bring it: the slot may be chosen for another one."""
+        """Free a slot for other cars, once the AGV that lifted the car has a destination."""
         if slot not in self.reserved and not self.slot_of[slot]:
             self.slot_free[self._slot_number[slot]] = True
 
     def may_lower(self, task: Task) -> bool:
-        """The place where the car is to be put down is free."""
+        """Whether the destination of the car is free."""
         return task.is_park or self.handover == "home" or self.bays[task.destination].outbound is None
 
     def lower_starts(self, task: Task) -> None:
-        """Keep the outbound place for the car that is being lowered."""
+        """Reserve the outbound place for the car being lowered."""
         if not task.is_park and self.handover == "bay":
             self.bays[task.destination].outbound = task
 
     def lowered(self, task: Task, now_s: float) -> list[Command]:
-        """The car is down: in its slot, or at the bay where its customer gets in."""
+        """Record that the car is down: in its slot, or at the bay where its customer gets in."""
         task.delivered_s = now_s
         if task.is_park:
             self.reserved.pop(task.destination)
@@ -420,12 +422,12 @@ class Garage:
         self.unfinished -= 1
 
     def in_transit(self) -> int:
-        """Cars that are in the garage's care but not parked: in the street, at bays or on AGVs."""
+        """Cars in the garage's care that are not parked: in the street, at bays or on AGVs."""
         going = sum(1 for j in self.tasks if not j.is_park and j.state == "waiting" and j.lifted_s == j.lifted_s)
         return self.coming + going
 
     def audit(self) -> list[str]:
-        """What does not add up; empty when every car and request is accounted for."""
+        """Inconsistencies in the books; empty if every car and every request is accounted for."""
         problems = []
         if self.initial + self.arrived != len(self.parked) + self.left + self.in_transit():
             problems.append(

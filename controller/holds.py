@@ -5,8 +5,8 @@ then all three are held by the breakdown. Holds are worked out from the state of
 whatever planner is in use.
 
 ``Holds.for_ever`` answers another question: is every open request lost, if no fault begins or ends any more? It says
-yes only on proof, from the lanes, the closed places and the AGVs that will not move again. Where it depends on
-planners, on customers or on the street, the answer is that something may still happen.
+yes only on proof, from the lanes, the closed places and the AGVs that will not move again. If the outcome depends on
+planners, on customers or on the street, the answer is no.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which slot a car gets, and which bay a car is brought to."""
+"""Choice of a slot for a car to park, and of a bay for a car to retrieve."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from controller.types import AgvNumber
 from sumo_nets.graph import FloatArray, IntArray
 from sumo_nets.numbering import NO_VERTEX, Vertex
 
-#: Part of the way from a slot to the next car asked for that counts when the slot is chosen: another AGV may take that
-#: car by then.
+#: Weight of the way from a slot to the next requested car when the slot is chosen. It is below 1 because another AGV
+#: may take that car first.
 ONWARD_WEIGHT = 0.5
 
 #: Each second that a car has waited on its AGV counts as this many seconds of driving when bays are assigned. The
@@ -24,14 +24,14 @@ WAIT_WEIGHT = 0.02
 
 
 def choose_slot(garage: Garage, origin: Vertex, zone: str, costs: Costs, around_cars: bool = False) -> Vertex:
-    """The free slot with the shortest way there, and on to a car that is asked for; -1 when all are taken.
+    """The free slot with the shortest way to it and on to the next requested car; -1 if all slots are taken.
 
     Args:
         garage: the books.
-        origin: where the car stands.
-        zone: beginning of the wanted slots' names, "" for any; if none of these is free it is any.
+        origin: vertex where the car stands.
+        zone: name prefix of the preferred slots, "" for any slot. If no preferred slot is free, any slot will do.
         costs: driving costs.
-        around_cars: the way there leads around parked cars as they stand now, and what comes then does not count.
+        around_cars: the way leads around the cars parked at present, and the way on to the next car does not count.
     """
     free = garage.slots[garage.slot_free & garage.slot_open]
     if zone:
@@ -46,7 +46,7 @@ def choose_slot(garage: Garage, origin: Vertex, zone: str, costs: Costs, around_
 
 
 def _onward(slots: IntArray, tasks: Sequence[Task], costs: Costs) -> FloatArray:
-    """From each slot what the cheapest car to be fetched next costs as ``nearest_task`` counts; 0 if there is none."""
+    """From each slot, the cost of the cheapest car to retrieve next, as in ``nearest_task``; 0 if there is none."""
     fetch = oldest_first([task for task in tasks if not task.is_park])
     if not fetch:
         return np.zeros(len(slots))
@@ -61,13 +61,14 @@ def choose_bays(
     leaving: Mapping[Vertex, int],
     costs: Costs,
 ) -> dict[AgvNumber, Vertex]:
-    """Bays for AGVs that carry a car to one: of all pairs the one with the shortest way first, then the next.
+    """Bays for AGVs that carry a car to a bay. Pairs of AGV and bay are chosen greedily, shortest way first.
 
     Args:
         at: the vertex of each of these AGVs.
-        since_s: since when each of them has had its car; a second counts as ``WAIT_WEIGHT`` seconds of driving.
-        free: the bays that may be chosen, with the steps until each of them can take a car.
-        leaving: bays that an AGV leaves in so many steps: for those only that would not be there before.
+        since_s: time at which the AGV lifted its car; a second since then counts as ``WAIT_WEIGHT`` seconds of driving.
+        free: bays that may be chosen, with the steps until each bay can take a car.
+        leaving: bays that another AGV is about to leave, with the steps until then. An AGV gets such a bay only if it
+            would not arrive earlier.
         costs: driving costs.
 
     Returns:

@@ -1,13 +1,14 @@
-"""Reordering: who is late lets others go first where that pays (Berndt, van Duijkeren, Palmieri, Kleiner and Keviczky
-2024, switchable action dependency graph).
+"""Reordering: late AGVs let other AGVs go first where that saves time.
 
-The executor keeps the visiting order of the plan, so everybody waits behind an AGV that is late. Here an AGV that
-stands before a free vertex which another one shall visit first is put before it, there and at all vertices that
-follow on the ways of both. The switched orders are taken if everybody gets as far as before when they are driven
-through from now, which shows that they have no cycle, and if all together arrive earlier.
+The method follows Berndt, van Duijkeren, Palmieri, Kleiner and Keviczky (2024, switchable action dependency graph).
 
-Departures from the paper: one switch at a time, found by trying, no optimisation over all of them. Guarantee: as
-before, a delay only delays, since the orders taken have no cycle.
+The executor keeps the visiting order of the plan, so other AGVs wait behind a late AGV. A switch helps an AGV that
+stands before a free vertex reserved for a later visitor. The waiting AGV goes first, at this vertex and at all
+following vertices that both ways share. The switched orders are simulated from now on. They are accepted under two
+conditions: every AGV gets as far as before (so the orders have no cycle), and the total arrival time falls.
+
+Departures from the paper: switches are tried one at a time; no optimisation covers all of them together. Guarantee: a
+delay causes no deadlock, because the accepted orders have no cycle.
 """
 
 from __future__ import annotations
@@ -24,16 +25,16 @@ from sumo_nets.numbering import Vertex, numbered
 def reorder(
     executor: Executor, step: int, least_gain: int, keep: Collection[AgvNumber] = ()
 ) -> list[tuple[AgvNumber, AgvNumber, int]]:
-    """Let AGVs that wait for a late one go first where that pays.
+    """Let AGVs that wait for a late AGV go first where that saves time.
 
     Args:
-        executor: its orders are changed.
-        step: now.
-        least_gain: steps that all AGVs together must gain by a switch.
-        keep: AGVs whose place in the orders is not touched.
+        executor: its visiting orders are changed.
+        step: current step.
+        least_gain: least total gain of a switch, in steps.
+        keep: AGVs whose places in the orders stay as they are.
 
     Returns:
-        The switches made: who goes first now, before whom, and the steps gained.
+        The switches made: the AGV that now goes first, the AGV it passes, and the steps gained.
     """
     made = []
     before: Mapping[AgvNumber, Path] | None = None
@@ -59,7 +60,7 @@ def reorder(
 
 
 def _switch(executor: Executor, agv: AgvNumber, ahead: AgvNumber) -> dict[Vertex, deque[AgvNumber]]:
-    """Put one AGV before another at its next vertices, as long as that one is before it; returns the old orders."""
+    """Put one AGV before another at their next common vertices. Returns the old orders."""
     old = {}
     for v in executor.agvs[agv].pending:
         queue = executor.order[v]
@@ -72,7 +73,7 @@ def _switch(executor: Executor, agv: AgvNumber, ahead: AgvNumber) -> dict[Vertex
 
 
 def _gain(before: Mapping[AgvNumber, Path], after: Mapping[AgvNumber, Path]) -> int | None:
-    """Steps by which all together arrive earlier; None if somebody does not get as far any more."""
+    """Steps gained in total; None if some AGV no longer gets as far as before."""
     if any(len(after[n].vertices) < len(before[n].vertices) for n in before):
         return None
     return sum(path.arrive[-1] - after[n].arrive[len(path.vertices) - 1] for n, path in before.items())

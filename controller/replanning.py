@@ -1,8 +1,8 @@
-"""Events that ask for a new plan (Shin et al. 2022, section 3): what can be seen of them in the executor.
+"""Events that trigger a new plan (Shin et al. 2022, section 3), as far as the executor shows them.
 
-New goals are told by the ACS. The rest is here: collisions predicted within a look-ahead, plans that have come to their
-end, and AGVs that stand though they have somewhere to go. The executor never lets two AGVs meet, so a collision to come
-shows as a wait to come: by the orders and times of now, an AGV will have to wait where its plan did not.
+The ACS reports new goals. This module finds the other events: collisions predicted within a look-ahead, plans that have
+ended, and AGVs that stand still on the way to a goal. The executor never lets two AGVs meet, so a predicted collision
+appears as a predicted wait: by the present orders and times, an AGV will wait where its plan does not.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from controller.retiming import retime
 from controller.types import AgvNumber, Path
 from sumo_nets.numbering import Vertex
 
-#: A wait is one from so many moves on.
+#: Shorter waits than this many moves do not count.
 LEAST_WAIT_MOVES = 0.5
 
 
 def waits_ahead(executor: Executor, step: int, within: int, cell_steps: int) -> frozenset[tuple[AgvNumber, Vertex]]:
-    """Where AGVs will have to wait for others.
+    """Where AGVs will have to wait for other AGVs.
 
     Args:
-        executor: with its accepted orders.
-        step: now.
-        within: how far to look ahead, steps.
+        executor: holds the accepted orders.
+        step: current step.
+        within: look-ahead, steps.
         cell_steps: steps of one ordinary move.
 
     Returns:
-        AGV and the vertex before which it waits.
+        Each AGV, and the vertex before which it waits.
     """
     least = max(1, round(LEAST_WAIT_MOVES * cell_steps))
     return frozenset(
@@ -41,13 +41,13 @@ def waits_ahead(executor: Executor, step: int, within: int, cell_steps: int) -> 
 
 
 def _waits(executor: Executor, step: int, path: Path, within: int) -> Iterator[tuple[Vertex, int]]:
-    """Vertices a path waits for, and how long."""
+    """Vertices before which a path waits, and how long."""
     a = executor.agvs[path.agv]
     ready, in_edge = executor.ready_step(path.agv, step), a.in_edge
     for i, vertex in enumerate(a.pending):
         if ready > within:
             return
-        if i + 1 == len(path.vertices):  # cut: whoever is there has no plan to leave
+        if i + 1 == len(path.vertices):  # the path is cut here: the AGV on the next vertex has no plan to leave it
             yield vertex, within
             return
         edge = executor.graph.edge_index[path.vertices[i], vertex]
@@ -58,12 +58,12 @@ def _waits(executor: Executor, step: int, path: Path, within: int) -> Iterator[t
 
 
 def without_plan(executor: Executor, agvs: Collection[Agv]) -> frozenset[AgvNumber]:
-    """AGVs whose plan has come to its end, but not to their goal."""
+    """AGVs whose plan has ended short of the goal."""
     states = ((agv, executor.agvs[agv.number]) for agv in agvs if not agv.immobile)
     return frozenset(agv.number for agv, a in states if not a.pending and a.last != agv.goal)
 
 
 def anybody_stands(executor: Executor, agvs: Collection[Agv]) -> bool:
-    """An AGV stands though it has somewhere to go."""
+    """Whether an AGV stands still although it has a goal elsewhere."""
     states = ((agv, executor.agvs[agv.number]) for agv in agvs if not agv.immobile)
     return any(a.standing and a.acting_until < 0 and a.last != agv.goal for agv, a in states)

@@ -1,4 +1,4 @@
-"""Long waits of AGVs, written down with their causes while they last."""
+"""Events for long waits of AGVs, with the cause of each wait."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from controller.holds import Hold, Holds
 from controller.types import AgvNumber
 from sumo_nets.numbering import Numbered, NumberedList, numbered
 
-#: A long wait is looked at anew so often while it lasts: its least length divided by this.
+#: A long wait is checked again after its least length divided by this number.
 LOOKS = 12
 
 
 @dataclass(slots=True)
 class _Wait:
-    """A wait that has become long: since which step, and what holds the AGV as it was last written down."""
+    """A long wait: the step at which it began, and the cause last recorded."""
 
     since: int
     hold: Hold
 
 
 class WaitLog:
-    """Writes an event ``held`` when an AGV has waited for long and when the cause changes, and ``held_end`` at the end.
+    """Writes ``held`` events when an AGV's wait becomes long or changes its cause, and ``held_end`` when it ends.
 
     Args:
         holds: finds the causes.
         executor, agvs: read only.
-        long_steps: a wait is long from here on.
-        log: takes events.
+        long_steps: least length of a long wait, steps.
+        log: receives events.
     """
 
     def __init__(
@@ -48,10 +48,10 @@ class WaitLog:
         self._waits: dict[AgvNumber, _Wait] = {}
 
     def step(self, step: int) -> None:
-        """Look at the AGVs.
+        """Check the waits of all AGVs.
 
         Args:
-            step: now.
+            step: current step.
         """
         for agv, a in zip(self._agvs, self._executor.agvs, strict=True):
             n, mark = agv.number, (a.granted, a.reached, a.acted)
@@ -83,7 +83,7 @@ class WaitLog:
 
 
 def hold_detail(hold: Hold) -> Mapping[str, object]:
-    """A hold as the detail of an event."""
+    """The details of an event, made from a hold."""
     return {
         "cause": hold.cause.value,
         "chain": hold.chain,

@@ -1,14 +1,15 @@
-"""The planning window, which adapts to the traffic.
+"""The planning window: how far ahead the planner looks. It adapts to the traffic.
 
-Two rules. *Score* is that of the thesis's program (2025; the thesis itself leaves the window's course open): the
-congestion score is ``floor(keep * old) + wait edges + scc * SCCs`` of the conflicts met while planning; above ``up``
-the window grows by a step, below ``down`` it shrinks by one. It is for planners that report such conflicts.
+Two rules exist. *Score* is the rule of the thesis's program (2025; the thesis itself leaves the rule open). Its
+congestion score is ``floor(keep * old) + wait edges + scc * SCCs``, over the conflicts met while planning. SCCs are the
+strongly connected components (rings of waiting agents) of the wait-for graph. The window grows by a step above ``up``
+and shrinks by a step below ``down``. This rule needs a planner that reports conflicts.
 
-*Traffic* is for planners that search round reservations: they meet no conflicts, and few AGVs really wait. It makes
-what the thesis names as future work real: window, limits of partial CBS and StuckBoost by the density of requests and
-the frequency of deadlocks. The level of traffic, 0 to 1, is ``keep * old + (1 - keep) * now``; ``now`` is the share of
-the other AGVs that are under way beside the first one, or 1 while a deadlock is open. The window is the least one at
-level 0 and the greatest at level 1, in whole steps.
+*Traffic* suits planners that search around reservations. Such planners meet no conflicts, and few AGVs really wait. The
+thesis names the idea as future work: the density of requests and the frequency of deadlocks set the window, the limits
+of partial CBS and StuckBoost. The level of traffic, 0 to 1, is ``keep * old + (1 - keep) * now``. While a deadlock is
+open ``now`` is 1; otherwise it is the share of AGVs under way, not counting the first one. Level 0 gives the least
+window and level 1 the greatest, in whole steps.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ from controller.types import AgvNumber
 
 @dataclass(frozen=True, slots=True)
 class WindowRange:
-    """Windows that suit a planner, in moves: at the start, the least and the greatest one. Defaults: the thesis's.
+    """Window sizes that suit a planner, in moves: first, least and greatest. The defaults are the thesis's.
 
     Raises:
-        ValueError: they are not in order, or below 1.
+        ValueError: the sizes are not in order, or one is below 1.
     """
 
     start: int = 5
@@ -108,6 +109,6 @@ class Window:
 
 
 def count_sccs(edges: Sequence[tuple[AgvNumber, AgvNumber]]) -> int:
-    """Strongly connected components of two or more agents in a wait-for graph."""
+    """Strongly connected components with at least two agents in a wait-for graph."""
     graph: nx.DiGraph[AgvNumber] = nx.DiGraph(edges)
     return sum(len(members) > 1 for members in nx.strongly_connected_components(graph))
