@@ -1,4 +1,4 @@
-"""What the ladder knows of a deadlock, and a plan that resolves it."""
+"""One deadlock, and a plan that resolves it, as the ladder of resolution stages sees them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Deadlock:
         reached: goals of the members, and how near to them they had come when it was found.
         stage: the stage whose plan is being carried out, "" while there is none.
         leader, goal, arrived: the AGV whose arrival is the progress, where it goes, and whether it is there.
-        locked: AGVs that still carry the plan out.
+        locked: AGVs that are still carrying out the plan.
         aside: AGVs that stand aside, with the vertices of their way there: nobody else of the group may want one of
             them before they may leave.
         best: sum of the costs to their goals that the AGVs of the plan had come to before it.

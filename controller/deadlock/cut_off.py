@@ -1,8 +1,8 @@
-"""Which AGVs a fault keeps from where they have to go.
+"""AGVs that a fault keeps from their goals.
 
 An AGV is *cut off* when its goal is closed, is held by an AGV that cannot move, or can be reached only through such
-places. It waits for the end of the fault. An AGV is *barred* when an AGV that is cut off, or another barred one, stands
-in its way: the fault is the reason here too, but the way may be cleared before the fault ends.
+places. A cut-off AGV waits for the end of the fault. An AGV is *barred* when a cut-off AGV, or another barred AGV,
+stands in its way. The fault is the cause here too, but the way may clear before the fault ends.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from sumo_nets.numbering import Numbered, Vertex
 
 @dataclass(frozen=True, slots=True)
 class CutOff:
-    """What faults do to the ways of AGVs.
+    """Effects of faults on the ways of AGVs.
 
     Attributes:
         by_fault: AGVs that are cut off.
-        barred: AGVs that are barred by one of these.
+        barred: AGVs whose way is blocked by a cut-off or barred AGV.
     """
 
     by_fault: frozenset[AgvNumber] = frozenset()
@@ -70,7 +70,7 @@ def find_cut_off(
 
 
 def _has_no_way(executor: Executor, agv: Agv, costs: Costs, walls: NDArray[np.uint8], held: set[Vertex]) -> bool:
-    """Its goal is closed, held by others, or not to be reached, though parked cars alone would let it through."""
+    """Whether a goal is closed, held, or out of reach, although parked cars alone would not prevent reaching it."""
     at = executor.agvs[agv.number].last
     if agv.goal == at:
         return False

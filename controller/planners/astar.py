@@ -1,8 +1,8 @@
 """A*: one move at a time, each by a fresh search (thesis 2025, III-3.1; Hart, Nilsson and Raphael 1968).
 
-The search runs backwards, from the goal to the agent, as D* Lite's does, so that both know g at the agent's neighbours
-and break ties alike; OPEN is ordered by f = g + h, then by smaller g. Turns are left out of the costs, as in the
-thesis.
+The search runs backwards from the goal to the agent, like D* Lite. Both searches therefore know g, the steps to the
+goal, at the agent's neighbours, and break ties alike. OPEN, the queue of the search, is ordered by f = g + h, then by
+smaller g; h is a lower bound on the steps left. The costs ignore turns, as in the thesis.
 """
 
 from __future__ import annotations

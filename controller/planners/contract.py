@@ -1,7 +1,8 @@
-"""What every planner has to keep to, tried on random problems: ``parking-sim check-planner file.py:function``.
+"""The contract of all planners, tested on random problems: ``parking-sim check-planner file.py:function``.
 
-Small garages with dead ends, one-way lanes and loops are drawn, with AGVs that stand, drive or have turned, blocked
-vertices and vertices where nobody may rest, in ticks and with bodies. Each answer goes through ``conflicts.validate``.
+The problems use small garages with dead ends, one-way lanes and loops. AGVs stand, drive or have turned. Some vertices
+are blocked, and at some vertices no AGV may rest. Time is counted in ticks, or AGVs have bodies. ``conflicts.validate``
+checks each answer.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from controller.types import FOREVER, AgvNumber, Motion, Path, PlanAgent, Planne
 from sumo_nets.graph import Graph, make_graph
 from sumo_nets.numbering import NO_EDGE, Vertex
 
-#: Makes a planner for a garage.
+#: Builds a planner for a garage.
 Maker = Callable[[Graph, Motion], Planner]
 
 
@@ -96,7 +97,7 @@ def random_problem(number: int, window: int | None = None) -> PlanningProblem:
 
 
 def all_standing(problem: PlanningProblem) -> PlanningProblem:
-    """The problem as planners of complete paths get it: everybody's present path is to stay, and fixed."""
+    """The same problem for planners of complete paths: each agent's present path is fixed."""
     return replace(problem, fixed=tuple(Path(a.agv, (a.vertex,), (0,), ()) for a in problem.agents))
 
 

@@ -1,9 +1,9 @@
 """Large-neighbourhood improvement of complete plans (Li, Chen, Harabor, Stuckey and Koenig 2021, MAPF-LNS).
 
-An agent that waits long on its way, and those it waits for, give back their paths and are planned again, it first. The
-new paths are taken if the sum of their arrivals is less; otherwise the old ones stay, and the next time the agents are
-planned in another order. Those that have been looked at in vain come behind all others. With ``Detours`` an agent that
-goes a long way round is late as well, and those whom it would meet on the short way are planned again with it.
+A neighbourhood is an agent that waits long on its way, with the agents it waits for. These agents give back their paths
+and are planned again, the late agent first. The new paths are accepted if the sum of their arrivals is smaller.
+Otherwise the old paths stay, and the next attempt uses another order. Agents tried in vain come after all others.
+``Detours`` also treats agents on long detours as late, and replans the agents that block their short way.
 
 Guarantee: whatever is returned is as free of conflicts as what came in, everybody still rests at the end of its path,
 and the sum of arrivals never grows. Limits: a local search; somebody may be overtaken again and again by agents with
@@ -88,7 +88,7 @@ class Improvement:
             others = self._in_the_way(agv, threshold)
             order = [agv, *others]
             before = self.looked.get(agv, 0)
-            if before:  # the same order again would fare no better
+            if before:  # the same order would fail again
                 random.Random(agv + 1009 * before).shuffle(order)
             self.looked[agv] = before + 1
             self.tried += 1
@@ -99,7 +99,7 @@ class Improvement:
                 late = self._late(lateness, threshold)
 
     def _late(self, lateness: Mapping[AgvNumber, int], threshold: int) -> list[AgvNumber]:
-        """AGVs that are too late, those looked at least first, then the latest."""
+        """Late AGVs: first those tried least often, then the latest."""
         late = [agv for agv, steps in lateness.items() if steps > threshold]
         return sorted(late, key=lambda agv: (self.looked.get(agv, 0), -lateness[agv], agv))
 
@@ -135,7 +135,7 @@ class Improvement:
         return [other for other in met[:k].tolist() if other != agv and other in self.agents][:NEIGHBOURS]
 
     def _again(self, order: list[AgvNumber]) -> bool:
-        """Plan again in this order; whether that is better."""
+        """Plan the agents again in this order. True if the new paths are better."""
         old = self.table.take(order)
         least = [self._alone(self.agents[agv]) for agv in order]
         spare = _arrivals(old) - 1 - sum(least)  # steps that they may arrive later than alone, all in all
@@ -158,7 +158,7 @@ class Improvement:
 
 
 class Detours(Improvement):
-    """An improvement for which late is who arrives later than it would if it were alone."""
+    """An improvement that calls an agent late if it arrives later than it would if it were alone."""
 
     def _lateness(self, agvs: Sequence[AgvNumber], threshold: int) -> dict[AgvNumber, int]:
         """How many steps later each of these AGVs arrives than if it were alone, as far as is known unsearched.

@@ -4,9 +4,9 @@ Agents are planned in order of priority. For each of them the next places of tho
 places of those planned after it are obstacles for the moment; a search of single-agent paths around them yields the
 next move. Agents that turn or act are left alone and stay an obstacle where they are.
 
-Guarantee: the moves of one call are free of conflicts; the thesis's final conflict resolution has nothing left to do.
-Limits: nothing beyond the next move is looked at: agents may block each other for ever, which is for deadlock handling
-to see.
+Guarantee: the moves of one call are free of conflicts, so the thesis's final conflict resolution is not needed.
+Limits: the planner does not look beyond the next move. Agents may block each other for ever; deadlock handling detects
+and resolves such blocks.
 
 Departures from the thesis: everything that a fixed path passes is an obstacle too, and where bodies need both places
 while they drive (``Motion.following`` False) the places that are being left are obstacles as well.

@@ -1,12 +1,13 @@
 """PBS: priority-based search (Ma, Harabor, Stuckey, Li and Koenig 2019) in a rolling window (RHCR, Li et al. 2021).
 
-A depth-first search over partial orders of priority. The root plans every agent as if alone; the first meeting of two
-agents inside the window is settled either way in two children: one of them goes before the other, which, like all
-below it, is planned again around everybody above it. The child whose plan costs less is looked at first.
+The planner searches partial orders of priority, depth first. The root plans each agent as if it were alone. The first
+meeting of two agents inside the window gives two children: in each child one of the two agents goes before the other.
+The lower agent, and all agents below it, are planned again around the agents above them. The cheaper child is searched
+first.
 
 Guarantee: SOLVED paths are free of conflicts up to the window. Limits: incomplete in any case (some problems have no
-solution by priorities), not optimal; agents may give way to each other for ever from window to window, which is for
-deadlock handling to see.
+solution by priorities), and not optimal. Agents may give way to each other for ever, from window to window; deadlock
+handling detects and resolves such cases.
 
 Departures from the papers: the low level is SIPP over intervals instead of steps (``search.sipp``). The search ends
 after ``nodes`` nodes. A problem without a solution so far is planned as by WHCA*, in order of ``PlanAgent.priority``.
@@ -111,7 +112,7 @@ class _Tree:
         self.window = min(problem.window_steps, FOREVER)
 
     def run(self) -> dict[AgvNumber, Path] | None:
-        """The paths of the first node without a meeting; None if there is none within the limit."""
+        """The paths of the first node without a meeting; None if the node limit is reached first."""
         n = len(self.agents)
         root = _Node([0] * n, empty_group(n), [None] * n, [0] * n)
         if not all(self._plan(root, i) for i in range(n)):
@@ -127,11 +128,11 @@ class _Tree:
             self.nodes += 2
             i, j = pair
             children = [child for child in (self._child(N, i, j), self._child(N, j, i)) if child]
-            STACK += sorted(children, key=lambda child: -sum(child.costs))  # the cheaper one on top
+            STACK += sorted(children, key=lambda child: -sum(child.costs))  # the cheaper child on top
         return None
 
     def _child(self, N: _Node, i: int, j: int) -> _Node | None:
-        """The node in which ``i`` goes before ``j`` as well; None if somebody finds no path then."""
+        """The node in which ``i`` also goes before ``j``; None if some agent then finds no path."""
         child = N.copy()
         new = N.above[i] | 1 << i
         for k in range(len(self.agents)):
@@ -140,7 +141,7 @@ class _Tree:
         return child if self._update(child, j) else None
 
     def _update(self, N: _Node, j: int) -> bool:
-        """Plan again, from above to below, ``j`` and all below it that meet somebody above them."""
+        """Plan ``j`` again, and all agents below it that meet an agent above them, in order of priority."""
         below = [k for k in range(len(self.agents)) if k == j or N.above[k] >> j & 1]
         for k in sorted(below, key=lambda k: (N.above[k].bit_count(), k)):
             above = _members(N.above[k])
@@ -149,7 +150,7 @@ class _Tree:
         return True
 
     def _plan(self, N: _Node, i: int) -> bool:
-        """Find the path of an agent around all above it."""
+        """Find a path of an agent around all agents above it."""
         above = _members(N.above[i])
         agent = self.agents[i]
         group = N.group
@@ -174,7 +175,7 @@ class _Tree:
         return max(path.arrive[-1], self.window) + h
 
     def _first_meeting(self, N: _Node) -> tuple[int, int] | None:
-        """The two that meet first; the one of higher priority is named first."""
+        """The two agents that meet first, the agent of higher priority first."""
         meets = N.group.meets
         if len(self.agents) > 1:
             k = int(meets.argmin())

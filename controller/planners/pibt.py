@@ -1,8 +1,8 @@
 """PIBT: priority inheritance with backtracking (Okumura, Machida, Defago and Tamura 2019, 2022), one move at a time.
 
-In order of priority everybody takes the best neighbour that is left; who stands there has to move on first and inherits
-the priority, and if it has nowhere to go another neighbour is tried. The longer an agent has been on its way to its
-goal the higher its priority; it falls back when the goal is reached.
+In order of priority, each agent takes its best free neighbour vertex. An agent standing there inherits the priority and
+must move on first. If it has nowhere to go, the first agent tries another neighbour (backtracking).
+An agent's priority grows while it is on its way to its goal, and is reset at the goal.
 
 Departures from the paper, for garages. No ring of agents moves on as a whole (three or more, each into the place of
 the next one), since bodies can't. A dead end is reserved as one: the neck of the goal's dead end (the aisle vertex of a
@@ -107,7 +107,7 @@ class Pibt:
         return calls
 
     def _moves(self, problem: PlanningProblem, agent: PlanAgent) -> bool:
-        """Whether it can be planned for, or asked to make room, now."""
+        """Whether the agent can be planned, or asked to make room, now."""
         return agent.ready_step == 0 or (not problem.motion.following and agent.ready_step <= self._reach)
 
 
@@ -168,7 +168,7 @@ def start_moves(agents: Sequence[PlanAgent], outward: IntArray, distances: Dista
 
 
 def stand(i: int, moves: Moves) -> None:
-    """Settle that an agent stays."""
+    """Settle that an agent stays where it is."""
     moves.next[i] = moves.now[i]
     moves.taker[moves.now[i]] = i
 
@@ -231,7 +231,7 @@ def one_move(order: IntArray, moves: Moves) -> None:
 
 @kernel
 def _settle(root: int, moves: Moves) -> None:
-    """The algorithm's PIBT(a_i), with the chain of those who inherit a priority instead of recursion."""
+    """PIBT(a_i) of the paper, with a chain of the agents that inherit a priority instead of recursion."""
     now, next_, occupant, taker, chain = moves.now, moves.next, moves.occupant, moves.taker, moves.chain
     moves.tried[:] = 0
     chain[0], size = root, 1
@@ -247,7 +247,7 @@ def _settle(root: int, moves: Moves) -> None:
                 return
             chain[size] = j
             size += 1
-        else:  # it stays, and who wanted its place tries another one
+        else:  # the agent stays, and the agent that wanted its place tries another one
             next_[i] = now[i]
             taker[now[i]] = i
             size -= 1

@@ -1,4 +1,4 @@
-"""Who is cut off from its goal by places that are closed for good, and by which: a flood back from the goal."""
+"""Closed places that cut an agent off from its goal, found by a flood from the goal backwards."""
 
 from __future__ import annotations
 

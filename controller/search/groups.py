@@ -1,7 +1,7 @@
-"""Paths of several agents as arrays: which of them meet, and quick loading into a reservation table.
+"""Paths of several agents as arrays, for finding meetings and for loading a reservation table quickly.
 
-An agent's row holds its visits in order: vertex, first step, end (exclusive) and the vertex before (-1 at the start),
-with the meaning of occupation documented at ``controller.types.Path``.
+The row of an agent holds its visits in order: vertex, first step, end (exclusive) and previous vertex (-1 at the
+start). ``controller.types.Path`` defines when a vertex is occupied.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ class Group(NamedTuple):
     meets: IntArray
 
     def copy(self) -> Group:
-        """A copy to change."""
+        """A copy that can be changed."""
         return Group(self.visits.copy(), self.lengths.copy(), self.meets.copy())
 
 
 def empty_group(n: int, length: int = 32) -> Group:
-    """Room for ``n`` agents without paths."""
+    """An empty group with room for ``n`` agents."""
     meets = np.full((n, n), FOREVER, dtype=np.int32)
     return Group(np.zeros((n, length, 4), dtype=np.int32), np.zeros(n, dtype=np.int32), meets)
 
 
 def with_path(group: Group, i: int, path: Path, following: bool, window: int) -> Group:
-    """Replace the path of agent ``i`` in place (a longer group is returned if there was no room)."""
+    """Replace the path of agent ``i`` in place. If there is no room, a longer group is returned."""
     k = len(path.vertices)
     if k > group.visits.shape[1]:
         room = np.zeros((len(group.lengths), 2 * k, 4), dtype=np.int32)
@@ -63,20 +63,20 @@ def with_path(group: Group, i: int, path: Path, following: bool, window: int) ->
 
 
 def load(table: ReservationTable, group: Group, chosen: IntArray, agvs: IntArray) -> None:
-    """Reserve the paths of the chosen agents, until ``unload`` with the same arguments takes them out again."""
+    """Reserve the paths of the chosen agents. ``unload`` with the same arguments removes them again."""
     while not _load(table.reserved.rows, table.reserved.counts, group.visits, group.lengths, chosen, agvs):
         unload(table, group, chosen, agvs)
         table.grow()
 
 
 def unload(table: ReservationTable, group: Group, chosen: IntArray, agvs: IntArray) -> None:
-    """Take back what ``load`` has reserved."""
+    """Remove the reservations made by ``load``."""
     _unload(table.reserved.rows, table.reserved.counts, group.visits, group.lengths, chosen, agvs)
 
 
 @kernel
 def _meetings(i: int, visits: IntArray, lengths: IntArray, meets: IntArray, following: bool, window: int) -> None:
-    """First step below the window at which agent ``i`` and each other one own one vertex, or swap."""
+    """For each other agent, the first step below the window at which it shares a vertex or swaps with agent ``i``."""
     for j in range(visits.shape[0]):
         if j == i:
             continue

@@ -1,7 +1,7 @@
-"""An indexed binary heap for search kernels: each vertex at most once, its key may change while it is inside.
+"""An indexed binary heap for search kernels. Each vertex is in it at most once, and its key may change.
 
-Keys are single integers. Everything is written in place; ``counters`` gets a heap move for each push, each removal and
-each swap, and one generated state for each push.
+Keys are single integers. All arrays are changed in place. ``counters`` counts a heap move for each push, removal and
+swap, and a generated state for each push.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def make_heap(n: int) -> Heap:
 
 @kernel
 def clear(heap: Heap) -> None:
-    """Take everything out, without counting it."""
+    """Remove all vertices, without counting the removals."""
     for i in range(heap.size[0]):
         heap.place[heap.items[i]] = -1
     heap.size[0] = 0
@@ -54,7 +54,7 @@ def clear(heap: Heap) -> None:
 
 @kernel
 def put(v: int, key: int, heap: Heap, counters: Counts) -> None:
-    """Put a vertex in, or change its key."""
+    """Insert a vertex, or change its key."""
     i = heap.place[v]
     heap.key[v] = key
     if i < 0:
@@ -69,7 +69,7 @@ def put(v: int, key: int, heap: Heap, counters: Counts) -> None:
 
 @kernel
 def take(v: int, heap: Heap, counters: Counts) -> None:
-    """Take a vertex out that is inside."""
+    """Remove a vertex that is in the heap."""
     i = heap.place[v]
     heap.place[v] = -1
     heap.size[0] -= 1
@@ -83,7 +83,7 @@ def take(v: int, heap: Heap, counters: Counts) -> None:
 
 @kernel
 def _sift(i: int, heap: Heap, counters: Counts) -> None:
-    """Move the vertex at place ``i`` up or down to where it belongs."""
+    """Move the vertex at place ``i`` up or down until the heap is in order."""
     while i > 0 and heap.key[heap.items[i]] < heap.key[heap.items[(i - 1) >> 1]]:
         _swap(i, (i - 1) >> 1, heap, counters)
         i = (i - 1) >> 1

@@ -1,4 +1,4 @@
-"""Places from which AGVs set out again and again (homes, bays, chargers), as landmarks: exact steps from there.
+"""Landmarks: places where AGVs often start (homes, bays, chargers), with exact steps from there to each edge.
 
 A landmark's table, made once by Dijkstra's algorithm, says how many steps it takes at least until each edge has been
 driven. A search that sets out from a landmark goes straight by it. To all other searches the triangle inequality gives
@@ -21,12 +21,12 @@ from controller.types import FOREVER, NEVER
 from sumo_nets.graph import IntArray
 from sumo_nets.numbering import Vertex
 
-#: More of them hardly make the bounds any better.
+#: Greatest number of landmarks; more landmarks hardly improve the bounds.
 MOST_IN_BOUNDS = 16
 
 
 class Bounds(NamedTuple):
-    """What landmarks know about one goal.
+    """Data of the landmarks about one goal.
 
     Attributes:
         tables: steps from each of k landmarks until each edge has been driven, shape (k, m).
@@ -38,7 +38,7 @@ class Bounds(NamedTuple):
 
 
 class Landmarks:
-    """The tables of a garage, made when somebody first sets out from a landmark.
+    """The tables of a garage, made when an AGV first starts from a landmark.
 
     Args:
         space: the garage.
