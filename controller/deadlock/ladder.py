@@ -393,6 +393,7 @@ class Ladder:
         """AGVs without a task exchange homes, so that all of the group can get to their goals."""
         free = [a for a in group if self._agvs[a.agv].mode in FREE_MODES and a.goal == self._agvs[a.agv].home]
         homes = [a.goal for a in free]
+        self._lacam.options = self.limits.lacam  # many ways are tried, so that each gets little effort
         ways = islice(permutations(homes), 1, _EXCHANGES)
         for way in sorted(ways, key=lambda way: sum(map(ne, way, homes))):
             new = {a.agv: home for a, home in zip(free, way, strict=True)}
