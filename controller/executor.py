@@ -1,4 +1,4 @@
-"""The executor: carries plans out whatever happens, and never lets two AGVs meet.
+"""The executor carries out plans despite delays and faults, and never lets two AGVs meet.
 
 A plan is taken as a visiting order for each vertex; its clock is forgotten (Hönig et al. 2019, action dependency graph;
 Ma, Kumar and Koenig 2017, MAPF-POST). The story of a vertex:
@@ -9,9 +9,9 @@ Ma, Kumar and Koenig 2017, MAPF-POST). The story of a vertex:
    tick in which it is left, a ring of three or more is granted together as soon as all of them are ready;
 4. *free*: the vertex belongs to the AGV until the plant says that its rear has left.
 
-Both directions of a lane lie between two vertices, and an AGV on it owns at least one of them while the one it leaves
-is not free yet, so opposite moves on one lane exclude each other. A wrong plan is refused, or stops the garage; it
-cannot make two AGVs meet.
+Both directions of a lane join the same two vertices. An AGV on the lane owns the vertex ahead, and the vertex behind
+until its rear has left. Opposite moves on one lane therefore exclude each other. A wrong plan is refused or stops the
+garage; it cannot make two AGVs meet.
 """
 
 from __future__ import annotations
@@ -126,10 +126,10 @@ class Executor:
         self._due: set[AgvNumber] = set()
         self._seen: NumberedList[AgvNumber, AgvState | None] = [None] * len(starts)
         self._unable_since: dict[AgvNumber, int] = {}
-        self._stops: tuple[int, int] = (0, 0)  # how many have ended, and their steps in all
+        self._stops: tuple[int, int] = (0, 0)  # ended outages of AGVs: number, and total steps
 
     def close(self, vertices: frozenset[Vertex]) -> None:
-        """Grant these vertices to nobody until this is called again; who stands there may leave."""
+        """Grant these vertices to no AGV until the next call. An AGV that stands on one may leave."""
         self.closed = vertices
         self._due.update(numbers(self.agvs))
 
@@ -201,7 +201,7 @@ class Executor:
             self._stops = count + 1, steps + step - self._unable_since.pop(agv)
 
     def cancel(self, agv: AgvNumber) -> None:
-        """Drop the vertices planned but not granted."""
+        """Drop the vertices that are planned but not granted."""
         for v in self.agvs[agv].pending:
             self.order[v].remove(agv)
             if self.owner[v] == -1 and self.order[v]:
@@ -209,7 +209,7 @@ class Executor:
         self.agvs[agv].pending.clear()
 
     def reconsider(self, agv: AgvNumber) -> None:
-        """See in the next call of ``grants`` whether this AGV can go on: an order has been changed for it."""
+        """Check in the next call of ``grants`` whether this AGV can go on, because an order has changed."""
         self._due.add(agv)
 
     def act(self, agv: AgvNumber, action: Action, steps: int, step: int, request: RequestNumber = NO_REQUEST) -> Act:
@@ -269,7 +269,7 @@ class Executor:
             commands.append(Advance(agv, tuple(run)))
 
     def _must_turn(self, a: Authority, vertex: Vertex) -> bool:
-        """It has to turn before it drives to the next vertex of its way."""
+        """Whether the AGV has to turn before it drives to the next vertex."""
         if a.in_edge < 0 or a.turned_to == vertex:
             return False
         k = self.motion.transition(self.graph, a.in_edge, self.graph.edge_index[a.last, vertex])
@@ -281,7 +281,7 @@ class Executor:
         rotation = int(self.motion.rotation_steps[int(a.loaded), self.motion.transition(self.graph, a.in_edge, edge)])
         a.turned_to = vertex
         if self.graph.reverse[edge] >= 0 and a.in_edge not in self._hindered:
-            # it stands now as if it had come from there
+            # the AGV now stands as if it had come over this edge
             a.in_edge = EdgeIndex(int(self.graph.reverse[edge]))
         return rotation
 
@@ -309,7 +309,7 @@ class Executor:
         return []
 
     def _ready_to_enter(self, agv: AgvNumber) -> bool:
-        """Only the AGV on the next vertex of its way keeps it from entering that vertex."""
+        """Whether only the AGV on the next vertex keeps this AGV from entering it."""
         a = self.agvs[agv]
         if not a.pending or not a.able or a.acting_until >= 0 or a.granted > a.reached:
             return False
@@ -337,7 +337,7 @@ class Executor:
         return True
 
     def _leave_behind(self, agv: AgvNumber) -> None:
-        """Free the vertex an AGV stands on: in discrete ticks a granted move is carried out in this very tick."""
+        """Free the vertex an AGV stands on: with discrete ticks, a granted move is completed within the tick."""
         a = self.agvs[agv]
         a.first += 1
         self._free(agv, a.trail.popleft())

@@ -51,11 +51,11 @@ from controller.search.space import Space
 from controller.types import FOREVER, NO_AGV, AgvNumber, Path, PlanAgent, PlanningProblem, Status
 from sumo_nets.numbering import NO_VERTEX, Numbered
 
-#: LaCAM* may propose so many times more after each of the first climbs in vain.
+#: After each of the first climbs in vain, LaCAM* may propose this many times more configurations.
 _MORE = 4
-#: So many of them; from then on the time to the next climb doubles instead.
+#: Number of these climbs; after them, the time to the next climb doubles instead.
 _RAISES = 4
-#: So many ways to exchange homes are tried, those in which the fewest AGVs get another home first.
+#: Number of home exchanges to try, those that move the fewest AGVs' homes first.
 _EXCHANGES = 24
 
 #: A leader, the group by priority, the problem, the AGVs found in the way -> a path for each AGV of the group, or None.
@@ -86,7 +86,7 @@ class LadderLimits:
     lacam: LacamOptions = field(default_factory=lambda: LacamOptions(proposals=2000, improve=0.5))
 
     def raised(self, times: float) -> LadderLimits:
-        """So many times the group and the effort of partial CBS."""
+        """Limits with this many times the group size and the effort of partial CBS."""
         return replace(self, group=round(times * self.group), cbs=self.cbs.raised(times))
 
 
@@ -123,17 +123,17 @@ class Ladder:
 
     @property
     def resolving(self) -> bool:
-        """Some deadlock is not over yet."""
+        """Whether some deadlock is not over yet."""
         return bool(self._open)
 
     @property
     def locked(self) -> set[AgvNumber]:
-        """AGVs that carry out a resolution and must not be planned for."""
+        """AGVs that carry out a resolution; they must not be planned."""
         return {n for d in self._open for n in d.locked}
 
     @property
     def concerned(self) -> set[AgvNumber]:
-        """AGVs that are in a deadlock that is not over yet, or carry out a resolution."""
+        """AGVs in a deadlock that is not over yet, and AGVs that carry out a resolution."""
         return {n for d in self._open for n in (*d.members, *d.locked)}
 
     def step(self, step: int, waits: WaitGraph, problem: Callable[[], PlanningProblem], cut_off: CutOff) -> None:
@@ -165,7 +165,10 @@ class Ladder:
                 taken.update(deadlock.members, deadlock.locked)
 
     def _is_dissolved(self, deadlock: Deadlock) -> bool:
-        """A member has come on since it was found, or all are at their goals; driving to and fro is no way out."""
+        """Whether a member has advanced since the deadlock was found, or all are at their goals.
+
+        Driving to and fro is no advance.
+        """
         at_goals = all(self._agvs[n].goal == self._executor.agvs[n].last for n in deadlock.members)
         return at_goals or self._progress.reached(deadlock.members) != deadlock.reached
 
@@ -187,7 +190,7 @@ class Ladder:
         return found
 
     def _moves(self, n: AgvNumber) -> bool:
-        """It drives, acts or is broken, so that those behind it stand in a queue and in no deadlock."""
+        """Whether the AGV drives, acts or is broken: AGVs behind it stand in a queue, not in a deadlock."""
         return not self._executor.agvs[n].standing or self._agvs[n].immobile
 
     @staticmethod
@@ -229,7 +232,7 @@ class Ladder:
     # --- carrying out ---------------------------------------------------------------------------------------------
 
     def _supervise(self, deadlock: Deadlock, step: int) -> None:
-        """Unlock who is through; close the deadlock when its leader is there; give up what makes no headway."""
+        """Unlock AGVs that are through, close the deadlock once its leader has arrived, drop plans without headway."""
         ex = self._executor
         granted = sum(ex.agvs[n].granted for n in deadlock.members)
         busy = any(not ex.agvs[n].standing for n in deadlock.locked)
@@ -350,7 +353,7 @@ class Ladder:
         return None, blockers
 
     def _leaders(self, by_priority: Sequence[PlanAgent], shift: int) -> list[PlanAgent]:
-        """Who may lead: AGVs that have not been at their goal yet, or if there is none those that are not there now."""
+        """AGVs that may lead: AGVs that never were at their goal, or else AGVs that are not at their goal now."""
         away = [a for a in by_priority if a.goal != a.vertex]
         leaders = [a for a in away if not self._progress.has_arrived(a.agv)] or away
         shift = shift % len(leaders) if leaders else 0
@@ -408,7 +411,7 @@ class Ladder:
     def _leader(
         self, leader: PlanAgent, group: list[PlanAgent], problem: PlanningProblem, blockers: set[AgvNumber]
     ) -> dict[AgvNumber, Path] | None:
-        """The leader goes on, the others keep their places."""
+        """The leader goes on, and the other AGVs keep their places."""
         self._table.reset(problem.fixed)
         for agent in group:
             if agent is not leader:
@@ -422,7 +425,7 @@ class Ladder:
     def _pull_over(
         self, leader: PlanAgent, group: list[PlanAgent], problem: PlanningProblem, blockers: set[AgvNumber]
     ) -> dict[AgvNumber, Path] | None:
-        """The leader goes on, the others clear its way: to their goals if they can, else out of the way."""
+        """The leader goes on, and the other AGVs clear its way: to their goals if possible, otherwise aside."""
         order = [leader] + [a for a in group if a is not leader]
         for _ in range(2 * len(group)):
             paths, failed = self._plan_in_order(order, problem)

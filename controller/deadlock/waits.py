@@ -1,4 +1,4 @@
-"""Who waits for whom, over the whole way ahead.
+"""The wait-for graph: which AGV waits for which other AGV, over the whole way ahead.
 
 An AGV is *held up* when the plan that was just made takes it no nearer to its goal: it stands without a plan, or it is
 driven back. It waits for the first AGV that will stand on its way when everybody's plan has been carried out, else for
@@ -9,8 +9,8 @@ and for no AGV. Three patterns stop the garage, and all are found here:
 - a *ring*: a strongly connected component of two or more (Tarjan, as networkx implements it) with one held up. An AGV
   that drives on closes a ring when the very next vertex after its plan is where another member will stand: of two that
   meet head-on the one drives the other back, and no timer is needed to see it;
-- a *chain that ends at an AGV without anything to do*: it will not move by itself, and there is no way round it;
-- an AGV that is not kept waiting but has come no nearer to its goal for long (*livelock*): see ``Progress``.
+- a *chain that ends at an idle AGV*: the idle AGV will not move by itself, and no way leads round it;
+- a *livelock*: an AGV waits for no other AGV but has come no nearer to its goal for a long time, see ``Progress``.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class WaitGraph:
     blocked_by_idle: tuple[tuple[AgvNumber, ...], ...]
 
 
-#: The AGV that another one waits for, and the vertex concerned.
+#: The AGV that another AGV waits for, and the vertex concerned.
 _Wait = tuple[AgvNumber, Vertex]
 
 
@@ -106,12 +106,12 @@ class _Waits:
         return a.standing and a.acting_until < 0 and not a.pending and agv.goal == a.last and not agv.immobile
 
     def goes(self, agv: Agv) -> bool:
-        """It has somewhere to go and does nothing else."""
+        """Whether the AGV has a goal to reach and no action under way."""
         a = self._executor.agvs[agv.number]
         return not (agv.immobile or a.acting_until >= 0 or agv.action is not None or agv.goal == a.last)
 
     def held_up(self, agv: Agv) -> bool:
-        """Its plan takes it no nearer to its goal."""
+        """Whether the AGV's plan takes it no nearer to its goal."""
         a = self._executor.agvs[agv.number]
         if not a.pending:
             return a.standing
@@ -119,7 +119,7 @@ class _Waits:
         return bool(to[a.pending[-1]] >= to[a.last])
 
     def before_next(self, agv: Agv) -> _Wait | None:
-        """The AGV that keeps this one from the next vertex of its plan."""
+        """The AGV that keeps this AGV from the next vertex of its plan."""
         a, ex = self._executor.agvs[agv.number], self._executor
         if not (a.pending and a.standing):
             return None
@@ -137,7 +137,7 @@ class _Waits:
         return self._first(agv, self._way(agv), lambda v: self._executor.owner[v])
 
     def _way(self, agv: Agv) -> list[Vertex]:
-        """From the end of its plan to its goal, round idle AGVs if there is such a way."""
+        """Vertices from the end of the plan to the goal, round idle AGVs if such a way exists."""
         end = self.ends[agv.number]
         way = self._costs.way(end, agv.goal, self._walls)
         if self._idle_at.isdisjoint(way):
@@ -237,9 +237,9 @@ class Progress:
         return sum(int(self._costs.to(self._agvs[n].goal)[self._executor.agvs[n].last]) for n in group)
 
     def has_arrived(self, n: AgvNumber) -> bool:
-        """The AGV has been at its goal since the goal was set; it may have had to leave again."""
+        """Whether the AGV has been at its goal since the goal was set; it may have had to leave again."""
         return self._best[n].cost == 0
 
     def stuck(self, step: int, steps: int) -> list[AgvNumber]:
-        """AGVs that came no nearer to their goal in so many steps."""
+        """AGVs that have come no nearer to their goal for this many steps."""
         return [n for n, best in self._best.items() if step - best.since >= steps]

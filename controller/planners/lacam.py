@@ -47,7 +47,7 @@ from controller.types import (
 from sumo_nets.graph import Graph, IntArray
 from sumo_nets.numbering import NO_VERTEX, Vertex
 
-#: Added for each vertex of distance when places are ranked; below it ties are broken.
+#: Weight of one move when places are ranked; smaller amounts break ties.
 _UNIT = 16
 
 
@@ -226,7 +226,7 @@ class _Search:
         if parent is None:
             rank = away / (1.0 + away.max(initial=0))
             if self._leads:
-                rank[0] = FOREVER  # nobody overtakes the leader
+                rank[0] = FOREVER  # no agent overtakes the leader
             g = 0
         else:
             rank = np.where(away == 0, parent.rank % 1.0, parent.rank + 1.0)

@@ -1,11 +1,10 @@
-"""Online MAPF of a fleet manager for narrow aisles (Shin et al. 2022, section 3.1): plan at events, for who needs it.
+"""Online MAPF of a fleet manager for narrow aisles (Shin et al. 2022, section 3.1): plan at events, for new goals.
 
-An *agent* is an AGV whose goal is new; everybody else, standing or driving along a path it got before, is an *obstacle*
-(here: the ``fixed`` paths of the problem). Agents are planned one after the other round obstacles and round each other:
-who leaves a dead end goes first, then who is nearest to its goal. If one finds no path, other orders are tried until
-all have one or the permutations are used up. Paths are cut where they wait for the first time, since the paper's robots
-can't wait in the middle of a plan: the rest is planned at the next event. What is too short to be worth sending is not
-sent.
+An *agent* is an AGV with a new goal. Every other AGV, standing or driving along an earlier path, is an *obstacle*
+(here: the ``fixed`` paths of the problem). Agents are planned one after another, round obstacles and each other:
+agents in dead ends first, then the agents nearest to their goals. If an agent finds no path, other orders are tried
+until all agents have a path or the permutations are used up. Paths are cut at their first wait, because the paper's
+robots cannot wait in the middle of a plan. The rest is planned at the next event. Very short paths are not sent.
 
 Departures: time is in safe intervals (``search.sipp``). The agent that failed goes first in the next order; the orders
 that are left follow lexicographically. If no order serves all, the one that served most is taken. The paper's planning
@@ -85,7 +84,7 @@ class OnlineMapf:
         return PlanResult(Status.PARTIAL if failed else Status.SOLVED, cut, failed, counters)
 
     def _by_priority(self, problem: PlanningProblem) -> list[PlanAgent]:
-        """Out of dead ends first, then the nearest to its goal."""
+        """Order of planning: agents in dead ends first, then the agents nearest to their goals."""
 
         def rank(a: PlanAgent) -> tuple[bool, int, int]:
             leaves_dead_end = a.goal != a.vertex and a.vertex in self._dead_ends

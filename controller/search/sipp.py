@@ -262,9 +262,9 @@ def _sipp(
     meta[SIZE] = 0
     meta[GENERATION] += 1
     meta[BLOCKER] = -1
-    latest = -1  # end of the last safe interval: whoever ends it is held responsible if nothing is found
-    nearest = FOREVER  # if no safe interval ended: whoever stands for ever nearest to the goal
-    wait_f, wait_node = FOREVER, NONE  # the best path that ends by waiting for the window's end
+    latest = -1  # end of the last safe interval; the agent that ends it is blamed if no path is found
+    nearest = FOREVER  # if no safe interval ended: the agent that stands for ever nearest to the goal is blamed
+    wait_f, wait_node = FOREVER, NONE  # the best path that ends by waiting until the window's end
     slot = 0
     while slot < count[start] and rows[start, slot, END] <= query[Q_SINCE]:
         slot += 1
