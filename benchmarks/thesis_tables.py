@@ -86,7 +86,7 @@ def show_homes(rows: Rows) -> list[str]:
             f"{min(values):,.0f} / {sum(values) / len(values):,.0f} / {max(values):,.0f}"
             for values in ([row[metric] for row in own] for metric in ("steps", "movement_cost"))
         ]
-        theirs = [f"{program(metric, planner, 'map1', agvs):,}" for metric in ("steps", "movement_cost")]
+        theirs = [f"{program(metric, planner, 'map1', agvs):,.0f}" for metric in ("steps", "movement_cost")]
         whole = sum(row["completion"] == 1 for row in own)
         cells = [spreads[0], theirs[0], spreads[1], theirs[1]]
         lines.append([f"MAP1 x {agvs}", heading(planner), f"{whole} of {len(own)}", *cells])
