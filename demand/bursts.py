@@ -28,7 +28,7 @@ class Burst(BaseModel):
 class Bursts(OpenTraffic):
     """Poisson traffic plus bursts at given times."""
 
-    kind: Literal["bursts"] = "bursts"
+    kind: Literal["bursts"] = Field(default="bursts", description="a Poisson stream with bursts")
     bursts: tuple[Burst, ...] = Field(min_length=1, strict=False, description="the bursts")
 
     def demand(self, slots: int, seed: int, base_dir: Path) -> Demand:

@@ -28,7 +28,7 @@ _NAMES = "give at least one character, and no line breaks or other control chara
 class Csv(Workload):
     """Requests as they stand in a file, for example a gate log."""
 
-    kind: Literal["csv"] = "csv"
+    kind: Literal["csv"] = Field(default="csv", description="requests from a file")
     path: str = Field(min_length=1, description="the file; a relative path counts from the scenario's folder")
     initial_cars: tuple[str, ...] = Field(default=(), strict=False, description="cars already parked at the start")
 

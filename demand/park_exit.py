@@ -15,7 +15,7 @@ from sumo_nets.errors import InputError
 class ParkExit(Workload):
     """All cars want to be parked at once; when the last is parked, all are wanted back at once."""
 
-    kind: Literal["park_exit"] = "park_exit"
+    kind: Literal["park_exit"] = Field(default="park_exit", description="every car in, then every car out")
     cars: int | None = Field(default=None, ge=1, description="number of cars; default: as many as the garage has slots")
     order: Literal["parked", "random"] = Field(
         default="parked", description="order in which the cars are wanted back: as they came, or at random"

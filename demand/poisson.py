@@ -99,7 +99,7 @@ class OpenTraffic(Workload):
 class Poisson(OpenTraffic):
     """Uniform Poisson traffic."""
 
-    kind: Literal["poisson"] = "poisson"
+    kind: Literal["poisson"] = Field(default="poisson", description="a Poisson stream")
 
     def demand(self, slots: int, seed: int, base_dir: Path) -> Demand:
         """Requests of this profile, see :meth:`Workload.demand`."""

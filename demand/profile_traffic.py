@@ -22,7 +22,7 @@ class ProfileTraffic(Workload):
     after the end is dropped. Cars that find the garage full are the garage's business.
     """
 
-    kind: Literal["profile"] = "profile"
+    kind: Literal["profile"] = Field(default="profile", description="hours of a demand profile")
     name: str = Field(
         min_length=1,
         description="a profile's name, or a file (.yaml); a relative path counts from the scenario's folder",

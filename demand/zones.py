@@ -17,7 +17,7 @@ Weight = Annotated[float, Field(gt=0)]
 class Zones(OpenTraffic):
     """Poisson traffic in which each arriving car prefers a zone of slots."""
 
-    kind: Literal["zones"] = "zones"
+    kind: Literal["zones"] = Field(default="zones", description="a Poisson stream with zones that are preferred")
     zones: dict[str, Weight] = Field(
         min_length=1,
         description="name prefix of a zone's slots -> weight with which arriving cars prefer it; '' is any slot",

@@ -25,13 +25,16 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def pages() -> dict[str, str]:
     """Name of each generated page -> its text."""
+    import sumo_nets.freespace.floorplan
     import sumo_nets.layout
     from parking_sim.config import Scenario
 
-    layout = sumo_nets.layout
+    layout, floorplan = sumo_nets.layout, sumo_nets.freespace.floorplan
     return {
         "scenario": "\n".join(_keys("Keys of a scenario", "", Scenario.model_json_schema())),
         "layout": "\n".join(_keys("Keys of a layout", layout.__doc__ or "", layout.Layout.model_json_schema())),
+        "floorplan": "\n".join(_keys("Keys of a floor plan", "", floorplan.FloorPlan.model_json_schema())),
+        "sweep": "\n".join(_sweep()),
         "columns": "\n".join(_columns()),
         "commands": "\n".join(_commands()),
         "library": "\n".join(_library()),
@@ -52,6 +55,14 @@ def _keys(title: str, intro: str, schema: Mapping[str, Any]) -> Iterator[str]:
             default = "needed" if key in model.get("required", ()) else f"`{json.dumps(field.get('default'))}`"
             default = default if "default" in field or default == "needed" else ""
             yield f"| `{key}` | {_type(field)} | {default} | {_cell(field.get('description', ''))} |"
+
+
+def _sweep() -> Iterator[str]:
+    from parking_sim.sweep_plan import KEYS
+
+    yield "# Keys of a sweep\n\n| key | type | meaning |\n|---|---|---|"
+    for key, (kind, meaning) in KEYS.items():
+        yield f"| `{key}` | {kind} | {meaning} |"
 
 
 def _type(field: Mapping[str, Any]) -> str:

@@ -25,7 +25,13 @@ from parking_sim.inputs import read_inputs
 from parking_sim.versions import code_version
 from sumo_nets.errors import InputError
 
-_KEYS = ("base", "grid", "list", "seeds")
+#: Key of a sweep file -> (what it holds, meaning).
+KEYS = {
+    "base": ("text or mapping, needed", "the scenario that varies: a shipped garage, a scenario file, or its keys"),
+    "grid": ("mapping to lists or to mappings of names to values", "values of scenario keys; every combination is run"),
+    "list": ("list of mappings", "variants, each with every point of the grid; `name` is a variant's name"),
+    "seeds": ("number, list, or text such as `1..5, 9`", "seeds of every variant; default: 1"),
+}
 _RANGE = re.compile(r"(\d+)(?:\.\.(\d+))?")
 
 
@@ -58,8 +64,8 @@ def load_sweep(path: Path) -> tuple[RunSpec, ...]:
     """
     data = read_yaml(path)
     for key in data:
-        if key not in _KEYS:
-            raise InputError(f"{path}: {key}: unknown key; valid keys are {', '.join(_KEYS)}")
+        if key not in KEYS:
+            raise InputError(f"{path}: {key}: unknown key; valid keys are {', '.join(KEYS)}")
     if "base" not in data:
         raise InputError(f"{path}: base: missing (a shipped garage, a scenario file, or the keys of a scenario)")
     base, base_dir = _base(data["base"], path)

@@ -42,5 +42,8 @@ def test_every_column_command_and_public_name(pages: dict[str, str]) -> None:
     assert pages["library"].count(":::") == len(parking_sim.__all__) - 1  # the version has no page
 
 
-def test_every_key_of_a_layout_has_a_meaning(pages: dict[str, str]) -> None:
-    assert [line for line in pages["layout"].splitlines() if line.startswith("| `") and line.endswith("|  |")] == []
+@pytest.mark.parametrize("page", ["scenario", "layout", "floorplan", "sweep"])
+def test_every_key_has_a_meaning(pages: dict[str, str], page: str) -> None:
+    rows = [line for line in pages[page].splitlines() if line.startswith("| `")]
+    assert len(rows) >= 4
+    assert [line for line in rows if line.endswith("|  |")] == []

@@ -66,10 +66,10 @@ class Pillars(_Part):
         size: side of a pillar, metres.
     """
 
-    start: Spot = Field(alias="from")
-    to: Spot
-    every: Annotated[float, Field(ge=1, le=100)]
-    size: Annotated[float, Field(gt=0, le=5)]
+    start: Spot = Field(alias="from", description="middle of the first pillar, [x, y] in metres")
+    to: Spot = Field(description="middle of the last pillar, [x, y] in metres")
+    every: float = Field(ge=1, le=100, description="distance between the middles of two pillars, metres")
+    size: float = Field(gt=0, le=5, description="side of a pillar, metres")
 
     def polygons(self) -> Iterator[FloatArray]:
         """Their corners."""
@@ -90,9 +90,9 @@ class Box(_Part):
         per_cell: places on one cell's spur.
     """
 
-    box: tuple[Metre, Metre, Metre, Metre]
-    opens: Literal["north", "east", "south", "west"]
-    per_cell: Literal[1, 2] = 2
+    box: tuple[Metre, Metre, Metre, Metre] = Field(description="[left, top, right, bottom] in metres, y down")
+    opens: Literal["north", "east", "south", "west"] = Field(description="the side on which the aisle runs")
+    per_cell: Literal[1, 2] = Field(default=2, description="places on the spur of one cell")
 
     @model_validator(mode="after")
     def _in_order(self) -> Box:
@@ -111,16 +111,16 @@ class Picture(_Part):
         threshold: brightness below which a pixel is wall, 0 black to 1 white.
     """
 
-    file: str
-    metres_per_pixel: Annotated[float, Field(ge=0.01, le=1)]
-    threshold: Annotated[float, Field(gt=0, lt=1)] = 0.5
+    file: str = Field(description="PNG, PGM or another format that Pillow reads; relative to the plan's folder")
+    metres_per_pixel: float = Field(ge=0.01, le=1, description="scale of the picture, metres")
+    threshold: float = Field(default=0.5, gt=0, lt=1, description="a darker pixel is wall; 0 is black, 1 is white")
 
 
 class Street(_Part):
     """The street along the bays, driven from ``from`` to ``to``, along one axis; bays lie on its right."""
 
-    start: Spot = Field(alias="from")
-    to: Spot
+    start: Spot = Field(alias="from", description="where customers enter the street, [x, y] in metres")
+    to: Spot = Field(description="where customers leave the street, [x, y] in metres")
 
     @model_validator(mode="after")
     def _straight(self) -> Street:
@@ -135,18 +135,18 @@ class Street(_Part):
 class FloorPlan(_Part):
     """A whole plan, as written in the file; the module's text explains every key."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=60)]
-    pitch_m: Annotated[float, Field(ge=6.0, le=20.0, allow_inf_nan=False)] = 7.0
-    origin: Spot | None = None
-    outline: Polygon | None = None
-    picture: Picture | None = None
-    walls: tuple[Polygon, ...] = ()
-    pillars: tuple[Pillars, ...] = ()
-    slots: Annotated[tuple[Box, ...], Field(min_length=1)]
-    bays: Annotated[tuple[Box, ...], Field(min_length=1)]
-    homes: Annotated[tuple[Box, ...], Field(min_length=1)]
-    chargers: tuple[Box, ...] = ()
-    street: Street
+    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=60, description="name of the garage")
+    pitch_m: float = Field(default=7.0, ge=6.0, le=20.0, allow_inf_nan=False, description="side of a cell, metres")
+    origin: Spot | None = Field(default=None, description="middle of a cell, [x, y] in metres; default: the best one")
+    outline: Polygon | None = Field(default=None, description="corners of the hall, [[x, y], ...] in metres")
+    picture: Picture | None = Field(default=None, description="walls as the dark parts of a picture")
+    walls: tuple[Polygon, ...] = Field(default=(), description="walls as polygons, [[x, y], ...] in metres")
+    pillars: tuple[Pillars, ...] = Field(default=(), description="pillars on grids")
+    slots: tuple[Box, ...] = Field(min_length=1, description="areas for parked cars")
+    bays: tuple[Box, ...] = Field(min_length=1, description="areas where customers hand cars over")
+    homes: tuple[Box, ...] = Field(min_length=1, description="areas where AGVs rest")
+    chargers: tuple[Box, ...] = Field(default=(), description="areas where AGVs charge")
+    street: Street = Field(description="the street along the bays")
 
     @model_validator(mode="after")
     def _has_walls(self) -> FloorPlan:
