@@ -32,7 +32,7 @@ _COLORS = ("#c2410c", "#1d4ed8", "#15803d", "#7e22ce", "#be185d", "#0f766e", "#a
 
 
 @dataclass(frozen=True)
-class Deadlock:
+class RecordedDeadlock:
     """One deadlock, as recorded.
 
     Attributes:
@@ -80,7 +80,7 @@ class Deadlock:
         return self.over_s - self.began_s
 
 
-def deadlocks(run: Run) -> list[Deadlock]:
+def deadlocks(run: Run) -> list[RecordedDeadlock]:
     """The deadlocks of a run, in the order in which they were found.
 
     Args:
@@ -100,7 +100,7 @@ def deadlocks(run: Run) -> list[Deadlock]:
         over_s = end["time_s"] if end else math.inf
         began_s = over_s - end["cost_s"] if end else row.get("since_s", found_s)
         found.append(
-            Deadlock(
+            RecordedDeadlock(
                 number,
                 began_s,
                 found_s,
@@ -127,7 +127,7 @@ def _rows(run: Run, kind: str) -> list[dict[str, Any]]:
     return [{**{str(key): value for key, value in row.items()}, **json.loads(row["detail"] or "{}")} for row in rows]
 
 
-def why(deadlock: Deadlock) -> str:
+def why(deadlock: RecordedDeadlock) -> str:
     """Why a deadlock arose, in a sentence or two."""
     d = deadlock
     if d.cause == "ring" and len(d.members) == 2:
@@ -147,7 +147,7 @@ def why(deadlock: Deadlock) -> str:
     return text
 
 
-def story(deadlock: Deadlock, clock: Clock) -> str:
+def story(deadlock: RecordedDeadlock, clock: Clock) -> str:
     """A deadlock as text of a few lines."""
     d = deadlock
     lines = [f"deadlock {d.number}, found at {clock.at(d.found_s)}: {why(d)}"]
@@ -161,7 +161,7 @@ def story(deadlock: Deadlock, clock: Clock) -> str:
     return "\n".join(lines)
 
 
-def outcome(deadlock: Deadlock) -> str:
+def outcome(deadlock: RecordedDeadlock) -> str:
     """What resolved a deadlock, and the seconds that it cost."""
     d = deadlock
     return f"resolved by {words(d.stage)}, {d.cost_s:g} s after the wait began" if d.stage else "not resolved"
@@ -171,7 +171,7 @@ def _names(members: Sequence[int]) -> str:
     return ", ".join(f"AGV {n}" for n in members)
 
 
-def draw(deadlock: Deadlock, vertices: pd.DataFrame, edges: pd.DataFrame) -> str:
+def draw(deadlock: RecordedDeadlock, vertices: pd.DataFrame, edges: pd.DataFrame) -> str:
     """The deadlock as a picture: lanes, what each AGV held, and an arrow from each to the place it wanted.
 
     Args:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from analysis.clock import Clock
-from analysis.deadlocks import Deadlock, deadlocks, draw, story
+from analysis.deadlocks import RecordedDeadlock, deadlocks, draw, story
 from analysis.holds import LongWait, long_waits
 from sumo_nets.errors import InputError
 
@@ -67,7 +67,7 @@ def wait_words(wait: LongWait, run: Run, clock: Clock) -> str:
     return f"AGV {wait.agv}{car}: {span}: {'; then '.join(wait.reasons)}"
 
 
-def _whole(run: Run, found: list[Deadlock], clock: Clock) -> list[str]:
+def _whole(run: Run, found: list[RecordedDeadlock], clock: Clock) -> list[str]:
     held = [f"held at the end: {line}" for line in run.meta.get("held") or ()]
     stories = [story(d, clock) for d in found] or ["no deadlock was found"]
     waits = [wait_words(wait, run, clock) for wait in longest_waits(run)]
@@ -75,7 +75,7 @@ def _whole(run: Run, found: list[Deadlock], clock: Clock) -> list[str]:
     return [f"times are {clock.name}", *held, *stories, *told]
 
 
-def _write_picture(run: Run, deadlock: Deadlock, folder: Path, picture: Path) -> None:
+def _write_picture(run: Run, deadlock: RecordedDeadlock, folder: Path, picture: Path) -> None:
     svg = draw(deadlock, run.vertices, run.edges)
     if not svg:
         raise InputError(f"--svg: {folder}: the record says nothing of places")

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from analysis.clock import Clock
 from analysis.deadlocks import deadlocks
-from analysis.metrics import ACTIVITIES, SERVICE_LEVELS_S, waits
+from analysis.metrics import SERVICE_LEVELS_S, waits
+from analysis.record import ACTIVITIES
 from analysis.tables import Run
 from analysis.words import words
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.record import NAN, write_json
+from analysis.record import ACTIVITIES, NAN, write_json
 from analysis.statistic import statistic
 from analysis.tables import Run, load_run
 from analysis.turned_away import turned_away
@@ -30,7 +30,6 @@ Metrics = dict[str, float | int]
 
 #: Service levels of a retrieval, seconds.
 SERVICE_LEVELS_S = (180, 300)
-ACTIVITIES = ("empty", "loaded", "turning", "lifting", "lowering", "waiting", "charging", "idle")
 CARS = ("initial", "arrived", "parked", "left", "in_transit")
 
 _WAITS = {

@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, fields
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,10 @@ if TYPE_CHECKING:
     from sumo_nets.graph import Graph
     from sumo_nets.numbering import Numbered, Vertex
     from sumo_nets.read import GarageNet
+
+#: What an AGV can be doing in a step.
+Activity = Literal["empty", "loaded", "turning", "lifting", "lowering", "waiting", "charging", "idle"]
+ACTIVITIES: tuple[Activity, ...] = get_args(Activity)
 
 #: Not reached: the value of a time that never came.
 NAN = math.nan

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from controller.costs import Costs
 from controller.deadlock.cut_off import find_cut_off
 from controller.deadlock.ladder import Ladder, LadderLimits
-from controller.deadlock.waits import Progress, wait_graph
+from controller.deadlock.waits import Headway, wait_graph
 from controller.events import Event, Log
 from controller.executor import Executor
 from controller.flags import flags_of
@@ -138,7 +138,7 @@ class Planning:
         self._rules = rules
         self._costs = costs
         self._log = log
-        self._progress = Progress(executor, agvs, costs, self.flags.complete)
+        self._progress = Headway(executor, agvs, costs, self.flags.complete)
         self._ladder = Ladder(options.ladder, executor, agvs, self._progress, log)
         self._window = Window(_moves(self.flags.window, options), options.window)
         self._raise()

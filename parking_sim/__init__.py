@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from parking_sim.library import compare as compare
     from parking_sim.library import size as size
     from parking_sim.library import sweep as sweep
-    from parking_sim.simulation import Progress as Progress
+    from parking_sim.simulation import RunProgress as RunProgress
     from parking_sim.simulation import Summary as Summary
     from parking_sim.simulation import simulate as simulate
     from parking_sim.stepwise import Simulation as Simulation
@@ -59,7 +59,7 @@ _PLACES = {
     "PlanResult": "controller.types",
     "Planner": "controller.types",
     "PlanningProblem": "controller.types",
-    "Progress": "parking_sim.simulation",
+    "RunProgress": "parking_sim.simulation",
     "Run": "analysis.tables",
     "RunFailedError": "parking_sim.errors",
     "Runs": "analysis.runs",
@@ -80,9 +80,9 @@ _PLACES = {
 }
 
 __all__ = [
-    "InputError", "Layout", "Path", "PlanAgent", "PlanResult", "Planner", "PlanningProblem", "Progress", "Run",
-    "RunFailedError", "Runs", "Scenario", "Simulation", "Status", "Summary", "__version__", "build", "compare",
-    "load_layout", "load_run", "load_runs", "load_scenario", "read_net", "simulate", "size", "sweep",
+    "InputError", "Layout", "Path", "PlanAgent", "PlanResult", "Planner", "PlanningProblem", "Run",
+    "RunFailedError", "RunProgress", "Runs", "Scenario", "Simulation", "Status", "Summary", "__version__", "build",
+    "compare", "load_layout", "load_run", "load_runs", "load_scenario", "read_net", "simulate", "size", "sweep",
 ]  # fmt: skip
 
 if not TYPE_CHECKING:  # a name that is not there is an error to mypy as well

@@ -7,14 +7,11 @@ from contextlib import contextmanager
 from time import perf_counter
 from typing import Literal
 
+from analysis.record import ACTIVITIES, Activity
 from controller.acs import Acs
 from controller.fleet import Agv
 from controller.types import Action, AgvMode, AgvNumber, Motion
 from sumo_nets.numbering import Numbered, NumberedList, numbered
-
-#: What an AGV can be doing in a step.
-Activity = Literal["empty", "loaded", "turning", "lifting", "lowering", "waiting", "charging", "idle"]
-ACTIVITIES: tuple[Activity, ...] = ("empty", "loaded", "turning", "lifting", "lowering", "waiting", "charging", "idle")
 
 #: What takes wall-clock time; planning is a part of control.
 Part = Literal["plant", "control", "planning", "check", "record"]

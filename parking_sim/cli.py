@@ -28,7 +28,7 @@ from sumo_nets.wording import one_of
 if TYPE_CHECKING:
     from analysis.clock import Clock
     from parking_sim.config import Scenario
-    from parking_sim.simulation import Progress, Summary
+    from parking_sim.simulation import RunProgress, Summary
 
 #: Exit codes: a run did not finish its work, or a check of it failed; bad input; Ctrl-C.
 UNFINISHED, BAD_INPUT, INTERRUPTED = 1, 2, 130
@@ -451,7 +451,7 @@ def _complain(message: str) -> None:
 
 
 @contextmanager
-def _progress_bar(name: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
+def _progress_bar(name: str, quiet: bool) -> Iterator[Callable[[RunProgress], None] | None]:
     """What to call with a run's progress; nothing when it is quiet or stderr is not a terminal."""
     if quiet or not sys.stderr.isatty():
         yield None

@@ -20,7 +20,7 @@ from parking_sim.progress import RunBars
 from parking_sim.terminal import table
 
 if TYPE_CHECKING:
-    from parking_sim.simulation import Progress, Summary
+    from parking_sim.simulation import RunProgress, Summary
 
 #: Run -> garage and planner, longest first. The two smaller garages are run under WHCA* too, as a comparison; on map3
 #: that would take longer than all others together.
@@ -169,7 +169,7 @@ def _run_one(name: str, folder: Path, cars: int | None) -> Summary:
     from analysis.report import write_report
     from parking_sim.simulation import simulate
 
-    def tell(progress: Progress) -> None:
+    def tell(progress: RunProgress) -> None:
         _progress_queue.put((name, progress))
 
     signal.signal(signal.SIGINT, signal.default_int_handler)

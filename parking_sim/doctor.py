@@ -24,7 +24,7 @@ EXTRAS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Look:
     """One thing looked at.
 
     Attributes:
@@ -40,13 +40,13 @@ class Finding:
     needed: bool = True
 
 
-def examine() -> list[Finding]:
+def examine() -> list[Look]:
     """Look at everything a run needs.
 
     Returns:
         The findings, in the order in which to put them right.
     """
-    versions = [Finding("python", True, platform.python_version())]
+    versions = [Look("python", True, platform.python_version())]
     versions += [_probe(name, lambda name=name: importlib.metadata.version(name)) for name in _PACKAGES]  # type: ignore[misc]
     return [
         *versions,
@@ -59,27 +59,27 @@ def examine() -> list[Finding]:
     ]
 
 
-def _probe(what: str, look: Callable[[], str], needed: bool = True) -> Finding:
+def _probe(what: str, look: Callable[[], str], needed: bool = True) -> Look:
     try:
-        return Finding(what, True, look(), needed)
+        return Look(what, True, look(), needed)
     except Exception as error:
-        return Finding(what, False, " ".join(f"{type(error).__name__}: {error}".split()), needed)
+        return Look(what, False, " ".join(f"{type(error).__name__}: {error}".split()), needed)
 
 
-def _own_packages() -> list[Finding]:
+def _own_packages() -> list[Look]:
     """The files that hide packages of this program, or that there are none."""
     hidden = hidden_packages()
     if not hidden:
-        return [Finding("own packages", True, "none is hidden by a file of the same name")]
-    return [Finding(f"package {name}", False, complaint) for name, complaint in hidden.items()]
+        return [Look("own packages", True, "none is hidden by a file of the same name")]
+    return [Look(f"package {name}", False, complaint) for name, complaint in hidden.items()]
 
 
-def _extra(extra: str, package: str, adds: str) -> Finding:
+def _extra(extra: str, package: str, adds: str) -> Look:
     """Whether an extra is installed, and what it adds."""
     try:
-        return Finding(f"extra {extra}", True, f"{adds} ({package} {importlib.metadata.version(package)})", False)
+        return Look(f"extra {extra}", True, f"{adds} ({package} {importlib.metadata.version(package)})", False)
     except importlib.metadata.PackageNotFoundError:
-        return Finding(f"extra {extra}", False, f"pip install 'parking-sim[{extra}]' adds {adds}", False)
+        return Look(f"extra {extra}", False, f"pip install 'parking-sim[{extra}]' adds {adds}", False)
 
 
 def _sumo_version() -> str:

@@ -13,7 +13,7 @@ from rich.console import Console
 
 if TYPE_CHECKING:
     from parking_sim.many_runs import SweepProgress
-    from parking_sim.simulation import Progress
+    from parking_sim.simulation import RunProgress
 
 #: Seconds between two lines when there is no terminal for a bar.
 _LINE_S = 30.0
@@ -41,7 +41,7 @@ class RunBars:
             name: self._bars.add_task(name, total=None, tasks="starting", clock="", speed="") for name in names
         }
 
-    def update(self, name: str, progress: Progress) -> None:
+    def update(self, name: str, progress: RunProgress) -> None:
         """Show how far a run is."""
         hours, minutes = divmod(int(progress.time_s) // 60, 60)
         self._bars.update(

@@ -14,7 +14,7 @@ from analysis.tables import load_run
 from analysis.variants import flatten
 from parking_sim.config import Scenario, load_scenario
 from parking_sim.inputs import SCENARIO_FILE, read_inputs
-from parking_sim.simulation import Progress, simulate
+from parking_sim.simulation import RunProgress, simulate
 from parking_sim.versions import code_version, versions
 from sumo_nets.errors import InputError
 
@@ -35,7 +35,7 @@ class Rerun:
     differences: tuple[str, ...]
 
 
-def rerun(folder: Path, out: Path | None = None, progress: Callable[[Progress], None] | None = None) -> Rerun:
+def rerun(folder: Path, out: Path | None = None, progress: Callable[[RunProgress], None] | None = None) -> Rerun:
     """Run the scenario of a record again and compare the two records.
 
     Args:

@@ -43,14 +43,14 @@ Ended = Literal["finished", "time_limit", "stalled", "interrupted"]
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class RunProgress:
     """How far a run is: simulated seconds, requests that ended (served or not) of how many, wall-clock seconds.
 
     Example:
         >>> import parking_sim as ps
-        >>> def tell(now: ps.Progress) -> None:
+        >>> def tell(now: ps.RunProgress) -> None:
         ...     print(f"{now.time_s:.0f} s: {now.done} of {now.total}")
-        >>> tell(ps.Progress(120.0, 7, 122, 0.8))
+        >>> tell(ps.RunProgress(120.0, 7, 122, 0.8))
         120 s: 7 of 122
     """
 
@@ -100,7 +100,7 @@ def simulate(
     *,
     gui: bool = False,
     fcd: bool = False,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[RunProgress], None] | None = None,
     resumed: bool = False,
     shared: Path | None = None,
 ) -> Summary:
@@ -138,7 +138,7 @@ def simulate(
 def prepare(
     scenario: Scenario,
     out: Path | None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[RunProgress], None] | None = None,
     resumed: bool = False,
     shared: Path | None = None,
 ) -> RunLoop:
@@ -178,7 +178,7 @@ def _load_what_the_end_needs() -> None:
 class RunLoop:
     """The state of one run: started, stepped to its end, finished."""
 
-    def __init__(self, world: World, out: Path | None, progress: Callable[[Progress], None] | None) -> None:
+    def __init__(self, world: World, out: Path | None, progress: Callable[[RunProgress], None] | None) -> None:
         self.world = world
         self.out = out
         self.recorder = Recorder()
@@ -432,7 +432,7 @@ class RunLoop:
             return
         self._told = perf_counter()
         done = len(self.garage.tasks) - self.garage.unfinished
-        self._progress(Progress(self.now_s, done, self.world.demand.total, self._accounts.total_s))
+        self._progress(RunProgress(self.now_s, done, self.world.demand.total, self._accounts.total_s))
 
     # --- the end --------------------------------------------------------------------------------------------------
 

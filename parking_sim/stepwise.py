@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Self
 
 from controller.types import AgvNumber
 from parking_sim.config import Scenario
-from parking_sim.simulation import Ended, Progress, Summary, prepare
+from parking_sim.simulation import Ended, RunProgress, Summary, prepare
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -95,7 +95,7 @@ class Simulation:
         *,
         gui: bool = False,
         fcd: bool = False,
-        progress: Callable[[Progress], None] | None = None,
+        progress: Callable[[RunProgress], None] | None = None,
     ) -> None:
         """Keep what to run; nothing is checked or started before the ``with``.
 

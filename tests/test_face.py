@@ -28,7 +28,7 @@ def longest_wait(folder: str) -> float:
     return float((tasks["lifted_s"] - tasks["requested_s"]).max())
 
 
-def tell(now: ps.Progress) -> None:
+def tell(now: ps.RunProgress) -> None:
     print(now.time_s)
 
 

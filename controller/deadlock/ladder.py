@@ -37,7 +37,7 @@ from operator import ne
 
 from controller.deadlock.case import Deadlock, DeadlockCause, DeadlockKind, Resolution, Stage, situation_of
 from controller.deadlock.cut_off import CutOff
-from controller.deadlock.waits import Progress, WaitGraph
+from controller.deadlock.waits import Headway, WaitGraph
 from controller.events import Event, EventKind, Log
 from controller.executor import Executor
 from controller.fleet import FREE_MODES, Agv
@@ -105,7 +105,7 @@ class Ladder:
     """
 
     def __init__(
-        self, limits: LadderLimits, executor: Executor, agvs: Numbered[AgvNumber, Agv], progress: Progress, log: Log
+        self, limits: LadderLimits, executor: Executor, agvs: Numbered[AgvNumber, Agv], progress: Headway, log: Log
     ) -> None:
         self.limits = limits
         self._executor = executor

@@ -187,7 +187,7 @@ class _Best:
     since: int
 
 
-class Progress:
+class Headway:
     """Since when each AGV has come no nearer to its goal.
 
     Driving to and fro is no progress: the least cost reached since the goal was set counts.

@@ -25,7 +25,7 @@ Maker = Callable[[Graph, Motion], Planner]
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Violation:
     """What a planner did wrong.
 
     Attributes:
@@ -39,7 +39,7 @@ class Finding:
     reasons: tuple[str, ...]
 
 
-def check_planner(make: Maker, problems: int = 200) -> Iterator[Finding]:
+def check_planner(make: Maker, problems: int = 200) -> Iterator[Violation]:
     """Try a planner on random problems.
 
     Args:
@@ -61,7 +61,7 @@ def check_planner(make: Maker, problems: int = 200) -> Iterator[Finding]:
         except PlannerError as error:
             reasons = [str(error)]
         if reasons:
-            yield Finding(number, problem, tuple(reasons))
+            yield Violation(number, problem, tuple(reasons))
 
 
 def violations(planner: Planner, problem: PlanningProblem) -> list[str]:

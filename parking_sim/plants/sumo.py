@@ -44,7 +44,7 @@ from parking_sim.plants.sumo_agv import AgvType, sumo_motion
 from parking_sim.plants.sumo_api import PlantError, load_api
 from parking_sim.plants.sumo_customers import Customers
 from parking_sim.plants.sumo_files import EMPTY, LOADED, agv_name, output_options, write_run
-from parking_sim.plants.sumo_lanes import Lanes, Progress
+from parking_sim.plants.sumo_lanes import LaneProgress, Lanes
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import NO_EDGE, EdgeIndex, Numbered, NumberedList, Vertex, numbered, numbers
 
@@ -64,7 +64,7 @@ class _Agv:
 
     __slots__ = ("acting", "applied", "name", "pending", "progress", "share", "soc", "stopped")
 
-    def __init__(self, name: str, progress: Progress) -> None:
+    def __init__(self, name: str, progress: LaneProgress) -> None:
         self.name = name
         self.progress = progress
         self.applied = 0  # edges up to this one are in SUMO's route
@@ -139,7 +139,7 @@ class SumoPlant:
             self._open = True
             self._read_lanes(garage)
             self._agvs: Numbered[AgvNumber, _Agv] = [
-                _Agv(agv_name(i), Progress(e, self._lanes)) for i, e in numbered(first_edges)
+                _Agv(agv_name(i), LaneProgress(e, self._lanes)) for i, e in numbered(first_edges)
             ]
             self._customers = Customers(self._api, garage)
             self._stand()

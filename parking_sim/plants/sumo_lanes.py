@@ -59,7 +59,7 @@ class Lanes:
                 raise PlantError(f"edge {name} is too short: an AGV that stands on it touches the vertex behind it")
 
 
-class Progress:
+class LaneProgress:
     """How far one AGV has come.
 
     Args:
