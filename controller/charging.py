@@ -159,7 +159,7 @@ class Charging:
         return self.executor.agvs[agv.number].last
 
     def _may_go(self, agv: Agv) -> bool:
-        """Whether the AGV has no task and needs a decision about charging."""
+        """Whether the AGV is free and stands where it may leave for a charger."""
         if agv.mode not in FREE_MODES or agv.action is not None or agv.immobile or agv.off_duty:
             return False
         return self.rules.charge_anywhere or self._at(agv) == agv.home or self._at(agv) in self.garage.slot_of

@@ -254,6 +254,7 @@ def _sipp(
     blocked: NDArray[np.uint8], no_rest: NDArray[np.uint8], counters: NDArray[np.int64], memory: _Memory,
 ) -> int:  # fmt: skip
     """Number of the node at which the best path ends, or NONE, FULL or LIMIT."""
+    # --- empty memory
     rows, count = reserved.rows, reserved.counts
     nodes, meta = memory.nodes, memory.meta
     start, goal, window = query[Q_VERTEX], query[Q_GOAL], query[Q_WINDOW]
@@ -262,15 +263,17 @@ def _sipp(
     meta[SIZE] = 0
     meta[GENERATION] += 1
     meta[BLOCKER] = -1
-    latest = -1  # end of the last safe interval; the agent that ends it is blamed if no path is found
-    nearest = FOREVER  # if no safe interval ended: the agent that stands for ever nearest to the goal is blamed
+    latest = -1  # end of the last safe interval; the agent that ends it is reported as the blocker if no path is found
+    nearest = FOREVER  # if no safe interval ended: the agent that stands for ever nearest to the goal is reported
     wait_f, wait_node = FOREVER, NONE  # the best path that ends by waiting until the window's end
+    # --- the safe interval in which the agent starts; none means that another agent holds the start
     slot = 0
     while slot < count[start] and rows[start, slot, END] <= query[Q_SINCE]:
         slot += 1
     if slot < count[start] and rows[start, slot, START] <= query[Q_SINCE]:
         meta[BLOCKER] = rows[start, slot, AGENT]
         return NONE
+    # --- the first node
     h = 0
     if goal >= 0:
         h = start_at_least(start, query[Q_EDGE], field, lanes, blocked, counters)
@@ -280,10 +283,12 @@ def _sipp(
               query, no_rest, lanes, memory, counters)  # fmt: skip
     expanded = 0
     while meta[SIZE] > 0:
+        # --- the node with the least f; the search ends when no path is better than to wait until the window's end
         n = memory.open[0]
         if wait_node >= 0 and wait_f <= memory.keys[n] >> F_FROM:
             break
         _pop(memory, counters)
+        # --- a lower bound of the way to the goal becomes the exact length; a node that gets longer goes back
         if goal >= 0 and not nodes[n, STALE] and not nodes[n, EXACT] and query[Q_SLACK] == 0:
             h = settle(nodes[n, EDGE], field, lanes, blocked, counters)
             if h >= FOREVER:
@@ -294,6 +299,7 @@ def _sipp(
                 memory.keys[n] = _key(nodes[n, T] + h, True, nodes[n, T])
                 _push(n, memory, counters)
                 continue
+        # --- the node is expanded: a stale one has been reached at less cost since, a final one ends the search
         counters[EXPANDED] += 1
         if nodes[n, STALE]:
             continue
@@ -303,6 +309,7 @@ def _sipp(
         expanded += 1
         if expanded > query[Q_LIMIT]:
             return LIMIT
+        # --- a path may end here: by resting until the window's end, or by a move that begins at its end
         v, t, last = nodes[n, VERTEX], nodes[n, T], nodes[n, LAST]
         if last >= FOREVER and window < FOREVER and goal >= 0:
             f = max(t, window) + nodes[n, H] + (0 if nodes[n, EXACT] else query[Q_SLACK])
@@ -318,6 +325,7 @@ def _sipp(
             f = _leaves_at_end(n, into, wait_f, query, bans, field, bounds, lanes, blocked, counters, nodes)
             if f < wait_f:
                 wait_f, wait_node = f, n
+        # --- successors: each edge that the agent can take before the safe interval ends
         for e in range(lanes.first_out[v], lanes.first_out[v + 1]):
             w = lanes.head[e]
             if blocked[w] and w != goal and w != start:
@@ -335,9 +343,11 @@ def _sipp(
                 h = max(at_least(e, goal, field, bounds, lanes), nodes[n, H] - (depart - t) - steps)
             if depart + steps + h > query[Q_LATEST]:
                 continue
+            # an agent that stands there for ever is the blocker, unless a safe interval that ended has named another one
             if h < nearest and latest < 0 and count[w] > 0 and rows[w, count[w] - 1, END] >= FOREVER:
                 nearest = h
                 meta[BLOCKER] = rows[w, count[w] - 1, AGENT]
+            # each safe interval of the edge's end that the agent can reach in time
             for k in range(count[w] + 1):
                 begin = rows[w, k - 1, END] if k > 0 else 0
                 end = _safe_until(rows, count, w, k, window)
