@@ -343,7 +343,7 @@ def _sipp(
                 h = max(at_least(e, goal, field, bounds, lanes), nodes[n, H] - (depart - t) - steps)
             if depart + steps + h > query[Q_LATEST]:
                 continue
-            # an agent that stands there for ever is the blocker, unless a safe interval that ended has named another one
+            # an agent that stands there for ever is the blocker, unless the end of a safe interval has named one
             if h < nearest and latest < 0 and count[w] > 0 and rows[w, count[w] - 1, END] >= FOREVER:
                 nearest = h
                 meta[BLOCKER] = rows[w, count[w] - 1, AGENT]
