@@ -130,22 +130,23 @@ def _head_on(a: _Visit, b: _Visit) -> bool:
     return a.path.depart[a.i] < b.path.arrive[b.i] and b.path.depart[b.i - 1] < a.path.arrive[a.i + 1]
 
 
-def _leaving(paths: Iterable[Path]) -> defaultdict[int, dict[Vertex, _Move]]:
-    """Moves by step of arrival and by the vertex they leave."""
-    moves: defaultdict[int, dict[Vertex, _Move]] = defaultdict(dict)
+def _leaving(paths: Iterable[Path]) -> dict[int, dict[Vertex, list[_Move]]]:
+    """Moves by step of arrival and by the vertex they leave; agents that overlap may leave one vertex together."""
+    moves: defaultdict[int, dict[Vertex, list[_Move]]] = defaultdict(dict)
     for p in paths:
         for i in range(1, len(p.vertices)):
-            moves[p.arrive[i]][p.vertices[i - 1]] = _Move(p.agv, p.vertices[i - 1], p.vertices[i], p.arrive[i])
+            move = _Move(p.agv, p.vertices[i - 1], p.vertices[i], p.arrive[i])
+            moves[move.step].setdefault(move.tail, []).append(move)
     return moves
 
 
 def _swaps(paths: list[Path]) -> Iterator[Conflict]:
     """Pairs of agents that exchange vertices in one step."""
     for step, leaving in _leaving(paths).items():
-        for move in leaving.values():
-            other = leaving.get(move.head)
-            if other is not None and other.head == move.tail and move.agv < other.agv:
-                yield Conflict("swap", (move.agv, other.agv), move.head, step)
+        for move in (move for moves in leaving.values() for move in moves):
+            for other in leaving.get(move.head, ()):
+                if other.head == move.tail and move.agv < other.agv:
+                    yield Conflict("swap", (move.agv, other.agv), move.head, step)
 
 
 def _path_faults(problem: PlanningProblem, agent: PlanAgent, path: Path) -> Iterator[str]:

@@ -24,7 +24,7 @@ from parking_sim.config import load_scenario
 from parking_sim.simulation import simulate
 from sumo_nets.movingai import grid_graph
 
-OWN = FilePath(__file__).parents[1] / "docs" / "examples" / "own_planner.py"
+OWN = FilePath(__file__).parents[1] / "parking_sim" / "examples" / "own_planner.py"
 
 #: A short run with AGVs in each other's way.
 BUSY = {"garage": "map1", "agvs": 8, "plant": "discrete", "workload": {"kind": "park_exit", "cars": 6}}
@@ -251,7 +251,7 @@ def test_a_path_that_ends_with_the_move_is_whole_for_planners_of_one_move(flagge
 
 
 def test_every_flag_arrives_and_has_its_line_in_the_page(flagged):
-    page = OWN.parents[1].joinpath("own_planner.md").read_text(encoding="utf-8")
+    page = FilePath(__file__).parents[1].joinpath("docs", "own_planner.md").read_text(encoding="utf-8")
     problem = random_problem(0)
     for flag in fields(PlannerFlags):
         assert f"`{flag.name}`" in page

@@ -50,6 +50,11 @@ CASES = {
         [Conflict("vertex", (1, 2), 1, 5)],
     ),
     "gone in time": (UNIT, [path(1, (0,), (0,), 4), path(2, (1, 0), (0, 4))], []),
+    "two that leave one place, and a third that comes from where they go": (
+        UNIT,
+        [path(0, (0, 1), (0, 1), until=1), path(1, (0, 1), (0, 1), until=1), path(2, (1, 0), (0, 1), until=1)],
+        [Conflict("vertex", (0, 1), 0, 0), Conflict("swap", (0, 2), 1, 1), Conflict("swap", (1, 2), 1, 1)],
+    ),
     "a ring of three": (
         UNIT,
         [path(3, (0, 1), (0, 2)), path(1, (1, 2), (0, 2)), path(2, (2, 0), (0, 2))],

@@ -16,7 +16,7 @@ from parking_sim.many_runs import do_run
 from parking_sim.sweep_plan import load_sweep
 from sumo_nets.read import net_files
 
-PLANNER = Path(__file__).parent.parent / "docs" / "examples" / "own_planner.py"
+PLANNER = Path(__file__).parent.parent / "parking_sim" / "examples" / "own_planner.py"
 PROFILE = """
 words: mine
 source: mine
