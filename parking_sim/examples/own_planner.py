@@ -13,20 +13,17 @@ def plan(problem: PlanningProblem) -> PlanResult:
     stays: dict[AgvNumber, AgvNumber] = {}
     search.begin(problem)
     while True:
-        table = ReservationTable(len(problem.graph.names), problem.motion.following)
-        paths: dict[AgvNumber, Path] = {}
+        table, paths = ReservationTable(len(problem.graph.names), problem.motion.following), dict[AgvNumber, Path]()
         for fixed in problem.fixed:
             table.add(fixed)
-        for agent in problem.agents:
-            if agent.agv in stays:
-                table.hold(agent.vertex, 0, problem.window_steps, agent.agv)
-        for agent in sorted(problem.agents, key=lambda a: -a.priority):
-            if agent.agv not in stays:
-                path = search.find_path(problem, agent, table)
-                if path is None:
-                    stays[agent.agv] = search.blocker
-                    break
-                table.add(path)
-                paths[agent.agv] = path
+        for agent in (a for a in problem.agents if a.agv in stays):
+            table.hold(agent.vertex, 0, problem.window_steps, agent.agv)
+        for agent in sorted((a for a in problem.agents if a.agv not in stays), key=lambda a: -a.priority):
+            path = search.find_path(problem, agent, table)
+            if path is None:
+                stays[agent.agv] = search.blocker
+                break
+            table.add(path)
+            paths[agent.agv] = path
         else:
             return PlanResult(Status.PARTIAL if stays else Status.SOLVED, paths, stays)
