@@ -32,7 +32,7 @@ from sumo_nets.numbering import NO_EDGE, Vertex
 def least_steps(
     graph: Graph, motion: Motion, rules: Rules, homes: Collection[Vertex], cars: int, park_only: bool = False
 ) -> int:
-    """Steps below which no controller can park so many cars, and fetch them all unless ``park_only``.
+    """Steps that no controller can undercut when it parks ``cars`` cars, and fetches all of them unless ``park_only``.
 
     Args:
         graph, motion: the garage and how long moves take.

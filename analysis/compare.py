@@ -123,7 +123,7 @@ def split_choice(choice: str) -> tuple[str, str]:
 
 
 def _where(frame: pd.DataFrame, runs: Runs, condition: str, choice: str) -> pd.DataFrame:
-    """The rows of runs for which a condition holds: ``key=value``, or a variant's name or part of it."""
+    """The rows of runs that meet a condition: ``key=value``, or a variant's name or a part of the name."""
     key, equals, value = condition.partition("=")
     shown = [runs.variants[run].shown for run in frame["run"]]
     cells: list[list[object]]

@@ -1,4 +1,4 @@
-"""Deadlocks explained: who held what, who waited for whom, why it arose, what resolved it, and what it cost.
+"""Deadlocks explained: which AGV held what and waited for which, why, what resolved it, and what it cost.
 
 Whatever shows deadlocks (report, replay, figures, metrics, command line) takes them from ``deadlocks``.
 """

@@ -412,7 +412,7 @@ def _show_clock(axes: Axes, clock: Clock) -> None:
 
 
 def _binned(line: pd.DataFrame, names: list[str]) -> pd.DataFrame:
-    """The maximum of columns in each of at most so many equal stretches of time."""
+    """The maximum of each column in each of ``_MAX_POINTS`` equal stretches of time."""
     width = max(1e-9, float(line["time_s"].iloc[-1] - line["time_s"].iloc[0]) / _MAX_POINTS)
     stretch = ((line["time_s"] - line["time_s"].iloc[0]) // width).astype(int)
     binned = line.groupby(stretch)[names].max()

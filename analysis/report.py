@@ -104,7 +104,7 @@ def write_index(folders: Sequence[Path], path: Path) -> Path:
 
 
 def headlines(run: Run, metrics: Metrics) -> list[str]:
-    """What came out, in sentences for someone who reads nothing else.
+    """The outcome in a few sentences. They stand alone: a reader may read nothing else.
 
     Args:
         run: a record.

@@ -1,4 +1,4 @@
-"""The files by which a folder is known as a run's: one that has ended, or one that was killed."""
+"""The files that tell a run's folder: that of a run that has ended, or of a run that was killed."""
 
 from __future__ import annotations
 

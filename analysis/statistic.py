@@ -1,4 +1,4 @@
-"""Statistics of waits, of which some may have no end."""
+"""Statistics of waits. Some waits may have no end."""
 
 from __future__ import annotations
 

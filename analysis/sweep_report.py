@@ -175,7 +175,7 @@ def _headlines(runs: Runs, variants: Sequence[Measured], frame: pd.DataFrame) ->
 
 
 def _away(measured: Measured) -> str:
-    """A sentence on the customers whom a variant turned away, empty if there are none."""
+    """A sentence on the customers that a variant turned away; empty if there are none."""
     share = measured.means["turned_away_share"].mean
     return f" {percent(share)} of its customers were turned away." if share > 0 else ""
 

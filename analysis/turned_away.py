@@ -38,7 +38,7 @@ class TurnedAway:
 
     @property
     def share(self) -> float:
-        """Share of the customers who came, 0 to 1; NaN if nobody came."""
+        """Share of all customers that came, 0 to 1; NaN if none came."""
         return self.number / self.came if self.came else math.nan
 
 

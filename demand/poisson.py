@@ -71,13 +71,13 @@ class OpenTraffic(Workload):
         return self
 
     def rate_per_s(self, slots: int) -> float:
-        """Arrivals a second in a garage with so many slots."""
+        """Arrivals a second in a garage with ``slots`` slots."""
         if self.arrivals_per_h is not None:
             return self.arrivals_per_h / 3600
         return (self.arrivals_share_per_h or 0.0) * slots / 3600
 
     def dwell_s(self, rng: np.random.Generator, count: int) -> Times:
-        """Draw how long so many cars stay, in seconds."""
+        """Draw the stays of ``count`` cars, in seconds."""
         return rng.lognormal(np.log(60 * self.dwell_median_min), self.dwell_sigma, count)
 
     def stays(self, slots: int, seed: int) -> Stays:

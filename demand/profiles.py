@@ -108,7 +108,7 @@ class Profile(BaseModel):
         return np.asarray(np.interp(due, total[rising], np.array(self.hours)[rising], right=math.inf))
 
     def busiest(self, hours: float) -> float:
-        """Begin of the stretch of so many hours in which most cars come and go, to the quarter of an hour."""
+        """Start of the busiest window of ``hours`` hours (most arrivals plus departures), to a quarter of an hour."""
         first, last = self.hours[0], self.hours[-1]
         begins = np.arange(first, max(first, last - hours) + 1e-9, 0.25)
         ends = np.minimum(begins + hours, last)
@@ -125,7 +125,7 @@ def from_occupancy(
     observed: Sequence[float] = (),
     peak: float = 1.0,
 ) -> Profile:
-    """A profile that meets an occupancy, with no fewer cars coming and going than stays of a given length need.
+    """A profile that follows an occupancy. Cars stay ``stay_h`` on average, and less where the occupancy falls faster.
 
     Args:
         words, source, licence: see :class:`Profile`.

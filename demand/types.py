@@ -72,7 +72,7 @@ class Workload(BaseModel, ABC):
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
-    """A random generator of its own for each purpose, so that drawing more for one leaves the others as they were.
+    """One random generator per purpose. Extra draws for one purpose do not change another.
 
     Args:
         seed: seed of the run, 0 or more.

@@ -200,7 +200,7 @@ def _sumo_rules(config: AgvConfig, motion: Motion) -> Rules:
 
 
 def control_options(config: ControlConfig, plant: PlantKind, cell_steps: int, step_s: float) -> ControlOptions:
-    """The controller's options in its own units: times in SUMO, so many moves in the discrete plant."""
+    """The controller's options in its own units: times in SUMO, numbers of moves in the discrete plant."""
 
     def steps(seconds: float, moves: int) -> int:
         return whole_steps(seconds, step_s) if plant == "sumo" else moves * cell_steps

@@ -1,4 +1,4 @@
-"""An independent look at all bodies as rectangles: who overlaps, and how close they come.
+"""An independent look at all bodies as rectangles: which of them overlap, and how close they come.
 
 SUMO does not see AGVs that cross at a small node, and the controller is what is to be checked. So this knows neither of
 them: step by step it is given rectangles, and is told which cars were set down and lifted. What it says of a step

@@ -125,7 +125,7 @@ def write_plan(specs: Sequence[RunSpec], folder: Path) -> None:
 
 
 def run_missing(specs: Sequence[RunSpec], folder: Path, executor: Executor, tell: Tell | None = None) -> list[Failure]:
-    """Do those runs that have no record; one that fails is tried once more, on a fresh worker.
+    """Do the runs that have no record. A run that fails is tried once more, on a fresh worker.
 
     Args:
         specs: the runs.

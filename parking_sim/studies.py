@@ -165,7 +165,7 @@ def tune(
 
 
 def _finite(value: float, figures: int) -> str:
-    """A measure with so many figures, or that customers who were turned away wait without end."""
+    """A value with ``figures`` digits, or "endless": customers turned away count as waits without end."""
     return "endless" if math.isinf(value) else f"{value:.{figures}g}"
 
 
@@ -196,7 +196,7 @@ def profiles(
 def _scenario_to_size(
     source: str, planner: str | None, profile: str | None, stretch: tuple[float | None, float, float], goes_on_s: float
 ) -> Scenario:
-    """The scenario with the hours of a profile; it goes on for so many seconds after the last request."""
+    """The scenario with the hours of a profile. It goes on for ``goes_on_s`` seconds after the last request."""
     from demand.profiles import find_profile
     from parking_sim.config import load_scenario, scenario_keys
 

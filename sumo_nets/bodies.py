@@ -147,7 +147,7 @@ def closest_moving(
 def clear_of_ways(
     ways: Sequence[FloatArray], leaving: FloatArray, least_m: float, size_m: tuple[float, float] = AGV_SIZE_M
 ) -> float:
-    """How far a rear must be along a lane that it drives off by, for nobody on the ways behind it to touch the body.
+    """How far an AGV's rear must be along the lane it leaves by before no AGV on the lanes behind can touch it.
 
     On a slanted lane a body's corner comes across the lanes beside it before it is where it stops, and in a turn its
     rear swings out.
@@ -235,7 +235,7 @@ def _drive(before: FloatArray, onto: FloatArray, length_m: float) -> FloatArray:
 
 
 def seen_from(here: FloatArray, line: FloatArray) -> bytes:
-    """A line as a key: garages repeat a few ways, which are the same seen from where a body stands."""
+    """A cache key for a line, relative to the body's position. Garages repeat a few shapes, so the cache hits often."""
     return np.round(line - here, 6).tobytes()
 
 

@@ -76,7 +76,7 @@ def check_net(garage: GarageNet, size_m: tuple[float, float] = AGV_SIZE_M, loads
 
 
 def require_fit(garage: GarageNet, size_m: tuple[float, float]) -> None:
-    """Refuse a garage of which :func:`check_net` complains. Shipped nets are known to load, so SUMO is not asked.
+    """Refuse a garage if :func:`check_net` complains of it. SUMO is not asked about shipped nets.
 
     Args:
         garage: the net as read.
@@ -177,7 +177,7 @@ def _check_room(garage: GarageNet, size_m: tuple[float, float]) -> Iterator[str]
 
 
 def _check_under_cars(garage: GarageNet, size_m: tuple[float, float]) -> Iterator[str]:
-    """An empty AGV drives out from under the car that it has set down, and in under one that it comes for."""
+    """Check the ways of empty AGVs under cars: out from under a car just set down, and in under a car to be fetched."""
     graph, tightest = garage.graph, tightest_turn(garage, size_m)
     if tightest is None or tightest.room_m >= CLEAR_M:
         return

@@ -172,7 +172,7 @@ def _arrow(axes: Axes, line: FloatArray, at: float, colour: str, size_m: float) 
 
 
 def _points(metres: float) -> float:
-    """Line width that is so many metres wide at the picture's scale."""
+    """Line width, in points, of a line that is ``metres`` wide at the picture's scale."""
     return metres / _METRES_PER_INCH * 72.0
 
 

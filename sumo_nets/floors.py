@@ -14,7 +14,7 @@ Spot = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class ForkFloor:
-    """A floor like that of Do et al. (2010, section 4.1), who print its size and numbers of nodes, not its lanes.
+    """A floor like that of Do et al. (2010, section 4.1). The paper prints its size and its numbers of nodes.
 
     A one-way ring, driven counter-clockwise, and a one-way aisle across it; storage lanes, driven both ways, are dead
     ends off their nodes. In the paper's table the two routes of a query differ by nothing, or by 11 nodes, once by 9:

@@ -193,7 +193,7 @@ def _spread_chargers(frame: _Frame, chargers: int) -> list[dict[str, Any]]:
 
 
 def _spread(rows: list[dict[str, Any]], number: int) -> list[dict[str, Any]]:
-    """Evenly chosen rows, so many of them; all if there are fewer."""
+    """``number`` rows at even distances; all rows if there are fewer."""
     if number >= len(rows):
         return rows
     return [rows[len(rows) * (2 * i + 1) // (2 * number)] for i in range(number)]

@@ -146,7 +146,7 @@ class Graph:
         return min(change, 360.0 - change)
 
     def leads_on(self, edge_in: EdgeIndex, edge_out: EdgeIndex) -> bool:
-        """Whether an AGV can drive from an edge onto one that leaves its head, back or on: connected, and no fold."""
+        """Whether an AGV can turn from an edge onto the next: the lanes are connected, and the body does not fold."""
         if (edge_in, edge_out) in self.unconnected:
             return False
         return edge_out == self.reverse[edge_in] or self.bend_deg(edge_in, edge_out) <= FOLD_DEG

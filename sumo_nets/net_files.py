@@ -106,7 +106,7 @@ class NetFile:
         return lanes
 
     def connected(self, vehicle_class: str) -> set[tuple[str, str]]:
-        """Pairs of lanes, by id, from the one of which vehicles of a class may drive onto the other."""
+        """Pairs of lane ids: vehicles of a class may drive from the first lane onto the second."""
         names = {(lane.edge, str(lane.index)): lane.name for edge in self.edges.values() for lane in edge.lanes}
         inner = {name for name, rule in self.inner_lanes.items() if permits(vehicle_class, *rule)} | {""}
         ends = ((names.get(c[:2], ""), names.get(c[2:4], "")) for c in self.connections if c.via in inner)

@@ -1,9 +1,9 @@
 """Whether AGVs find room to let each other pass, so that each of them can get to every place.
 
-An AGV asks the others to step aside. It does not matter who of them stands where, so that they are like stones without
-names: as long as the AGV stands at a vertex, the stones of each part of the floor that is left without this vertex can
-be brought to any vertices of this part. Where the AGV is and how many stones each part holds says everything, and there
-are few such states: the search is complete, which for agents with names it could not be in a large garage.
+One AGV asks the others to step aside. The others are like stones without names, since it does not matter which of them
+stands where. The AGV's vertex splits the floor into parts. While the AGV stands there, the stones of a part can be
+brought to any vertices of this part. So a state is the AGV's vertex and the number of stones in each part. Such
+states are few, and the search over them is complete. A search over AGVs with names would be too large for a big garage.
 
 One-way lanes change nothing. On a floor where every vertex can be reached from every other one, each lane lies on a
 circle of lanes. Where a lane's end is free, all that stands on its circle can go round until only one AGV has changed
@@ -152,7 +152,7 @@ class Passing:
 
 
 def _shares(count: int, room: Sequence[int]) -> Iterator[tuple[int, ...]]:
-    """All ways to put so many into parts with so much room."""
+    """All ways to distribute ``count`` AGVs over parts of the floor that have ``room`` for some each."""
     if not room:
         if not count:
             yield ()

@@ -46,7 +46,7 @@ def _touching(start: set[Vertex], model: nx.DiGraph[Vertex], points: list[Vertex
 
 
 def describe(graph: Graph) -> str:
-    """In words, for people who choose a planner."""
+    """The result in words, for the choice of a planner."""
     pairs = blocked_ways(graph)
     if not pairs:
         return "well-formed: end points block nobody"

@@ -96,7 +96,7 @@ def mend(cars: Mapping[str, Sequence[Move]], unread: Sequence[Move], begin: floa
 
 
 def _read_once(moves: Sequence[Move]) -> list[Move]:
-    """Without repeats; of an entry and an exit at the same moment the one that fits what was before comes first."""
+    """Moves without repeats. Of an entry and an exit at one moment, the one that fits the move before comes first."""
     kept: list[Move] = []
     for move in _in_step(moves):
         if not kept or move[1] != kept[-1][1] or move[0] - kept[-1][0] > _TWICE_H:

@@ -114,7 +114,7 @@ class DiscretePlant:
         self._held[agv] = held
 
     def limit(self, agv: AgvNumber, share: float) -> None:
-        """Nothing: a move takes a tick, and who is slower waits before it."""
+        """Nothing: each move takes a tick, and a slower AGV waits before it."""
 
     def set_soc(self, agv: AgvNumber, soc: float) -> None:
         """Set the state of charge of an AGV's battery, 0 to 1."""

@@ -190,7 +190,7 @@ def draw(queries: pd.DataFrame, fork: Graph, path: Path) -> None:
 
 
 def _example(tree: BinaryTree) -> tuple[Route, Route]:
-    """Both routes of a query for which they differ: from a storage lane in the south to one in the west."""
+    """Both routes of a query whose routes differ: from a storage lane in the south to a storage lane in the west."""
     index = tree.graph.index
     left, right = find_routes(tree, index["8,0+3"], index["0,3+3"])
     if left is None or right is None or math.isclose(left.length_m, right.length_m):

@@ -37,7 +37,7 @@ def contrary(of: Verdict) -> Verdict:
 
 
 def settled(holds: bool) -> Verdict:
-    """The verdict on a claim about these very figures, of which nothing is left to chance."""
+    """The verdict on a claim about these very figures. Chance has no part in them."""
     return verdict(holds, not holds)
 
 

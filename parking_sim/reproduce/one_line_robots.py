@@ -198,7 +198,7 @@ class OneLineRun:
     # --- planning -------------------------------------------------------------------------------------------------
 
     def _plan(self, news: set[AgvNumber]) -> None:
-        """Plan at the events: for who arrived or has no path, and for those who would meet."""
+        """Plan at events: for robots that have arrived or have no path, and for robots that would meet."""
         due = (self._step - self._planned) * STEP_S >= self._setting.timeout_s or not self._driving()
         if news or due:
             self._current_goals()

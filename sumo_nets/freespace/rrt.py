@@ -47,7 +47,7 @@ class Tuning:
     smart_iterations: int = 200
 
     def scaled(self, factor: float) -> Tuning:
-        """The same parameters in another unit, of which one pixel is ``factor``."""
+        """The same parameters in another unit of length; one pixel is ``factor`` of these units."""
         return Tuning(
             self.step * factor,
             self.goal_bias,

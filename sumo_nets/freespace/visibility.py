@@ -24,7 +24,7 @@ _TANGENTS = 4
 
 
 class VisibilityGraph:
-    """The corners of a floor; who sees whom is found when a search comes by, and kept."""
+    """The corners of a floor. Which corners see each other is found when a search asks for it, and kept."""
 
     def __init__(self, floor: Floor) -> None:
         """Find the corners.
