@@ -14,7 +14,7 @@ class PlannerFlags:
 
     Attributes:
         complete: it plans complete paths: it is given only agents that have no path to their goal, ``fixed`` holds
-            everybody's present path, and the window is endless.
+            the present path of every AGV, and the window is endless.
         rests: with ``complete``: every agent always has a path to where it can rest for ever.
         improves: with ``complete``: it wants to know the agents that have a path, ``PlanningProblem.carrying``.
         keeps: without ``complete``: it wants to know what the agents carry out, ``PlanningProblem.carried``.

@@ -244,7 +244,7 @@ class Holds:
 
 
 def walls_of(executor: Executor, closed: Collection[Vertex], still: Collection[AgvNumber]) -> frozenset[Vertex]:
-    """Vertices that nobody else can enter while these are closed, and these AGVs do not move."""
+    """Vertices that no other AGV can enter while these vertices are closed and these AGVs do not move."""
     return frozenset(closed) | {v for n in still for v in executor.agvs[n].trail}
 
 

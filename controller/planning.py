@@ -46,9 +46,9 @@ class ControlOptions:
     Attributes:
         period_steps: replanning period.
         replanning: when to plan: "periodic" is every period and for a new goal; "events" is for a new goal, a predicted
-            collision, a plan that has come to its end, and a time-out of those who stand; "both" is all of these.
+            collision, a plan that has come to its end, and a time-out of AGVs that stand; "both" is all of these.
         look_ahead_steps: how far ahead collisions are predicted.
-        timeout_steps: plan after so long while somebody stands who has somewhere to go.
+        timeout_steps: plan after so long while an AGV stands that has somewhere to go.
         watch_steps: how often events and orders are looked at.
         reorder: let AGVs that wait for a late one go first where that pays.
         window_cells, window_min, window_max: the planning window at the start, the least and the greatest one, in moves
@@ -170,8 +170,8 @@ class Planning:
 
         Args:
             step: now.
-            blocked: vertices where nobody may drive, shape (n,).
-            no_rest: makes the mask of vertices where nobody may rest whose goal it is not.
+            blocked: vertices where no AGV may drive, shape (n,).
+            no_rest: makes the mask of vertices where an AGV may rest only if the vertex is its goal.
         """
         if self._options.reorder and step % self._options.watch_steps == 0:
             self._reorder(step)
@@ -259,7 +259,7 @@ class Planning:
         asked = self._to_plan()
         carried: tuple[Path, ...] = ()
         if locked or immobile or self.flags.complete or self.flags.keeps:
-            # who rests at the end of a window goes on in the next one: nobody's way ends there
+            # an AGV that rests at the end of a window goes on in the next one: its way does not end there
             leaving = {} if self.flags.complete else {agv.number: window for agv in self._agvs}
             timed = retime(ex, step, {n: t for n, t in leaving.items() if n not in locked | immobile})
             fixed += [path for n, path in timed.items() if self.flags.complete or n in locked or n in immobile]
@@ -306,7 +306,7 @@ class Planning:
             self._log(Event("plan_partial", detail={"failed": sorted(result.failed)}))
 
     def _watch(self, step: int, problem: PlanningProblem) -> tuple[int, int]:
-        """Have deadlocks among those who really wait resolved; how many wait, and in how many rings."""
+        """Have deadlocks among AGVs that really wait resolved; return how many wait, and in how many rings."""
         waits = wait_graph(self._executor, self._agvs, self._costs, self._ladder.locked)
         cut_off = find_cut_off(self._executor, self._agvs, self._costs, problem.blocked)
         self._progress.update(step, cut_off.by_fault | self._ladder.concerned)

@@ -115,7 +115,7 @@ def _drive(
     way: Longs, first: Longs, here: Longs, now: Longs, clock: Longs, rest_until: Longs, free_at: Longs, turn: Longs,
     queue: Longs, following: bool, floor: FloorTables,
 ) -> tuple[Longs, Longs, Longs]:  # fmt: skip
-    """Drive everybody as far as the orders allow: arrivals and departures on ``way``, and how many of each."""
+    """Drive every AGV as far as the orders allow: arrivals and departures on ``way``, and how many of each."""
     arrive, depart = np.zeros(len(way), dtype=np.int64), np.zeros(len(way), dtype=np.int64)
     done = np.zeros(len(here), dtype=np.int64)
     occupant = np.full(len(free_at), -1, dtype=np.int64)

@@ -127,7 +127,7 @@ class Motion:
     following: bool
 
     def seconds(self, steps: int) -> float:
-        """How long so many steps last, to the millisecond: SUMO counts in whole ones, and so no error adds up."""
+        """Seconds that ``steps`` last, to the millisecond: SUMO counts in these, and so no error adds up."""
         return round(steps * self.step_s, 3)
 
     def transition(self, graph: Graph, edge_in: EdgeIndex, edge_out: EdgeIndex) -> int:
@@ -140,7 +140,7 @@ class Motion:
 
 
 def whole_steps(seconds: float, step_s: float) -> int:
-    """The fewest whole steps that last so many seconds or longer."""
+    """The fewest whole steps that last ``seconds`` or longer."""
     return math.ceil(round(seconds / step_s, 9))
 
 
@@ -260,7 +260,7 @@ class PlanningProblem:
         graph, motion: the garage and how long moves take.
         agents: the agents to plan for.
         fixed: paths of agents that are not to be replanned; plans must keep clear of them.
-        blocked: shape (n,), 1 where nobody may drive (a parked car, a fault); a goal or start is exempt for its
+        blocked: shape (n,), 1 where no AGV may drive (a parked car, a fault); a goal or start is exempt for its
             own agent.
         no_rest: shape (n,), 1 where no agent may come to rest but the one whose goal it is.
         window_steps: planning horizon in steps, ``FOREVER`` for complete paths.
@@ -269,7 +269,7 @@ class PlanningProblem:
         carried: what agents to plan for carry out so far, by the clock of now; for planners that keep plans in windows.
 
     Example:
-        A planner by which everybody keeps its place, asked a random problem:
+        A planner by which every AGV keeps its place, asked a random problem:
 
         >>> from controller.planners.contract import random_problem
         >>> def stay(problem: PlanningProblem) -> PlanResult:

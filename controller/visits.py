@@ -69,7 +69,7 @@ class _Rows(NamedTuple):
         vertex: where.
         agv: whose visit.
         entered, left: it is there from when until when; the end of a path is left ``FOREVER``.
-        ends: until when nobody else may come: ``Path.until`` instead of ``FOREVER``.
+        ends: until when no other AGV may come: ``Path.until`` instead of ``FOREVER``.
     """
 
     vertex: Longs
@@ -95,7 +95,7 @@ def visiting_order(
 
     Args:
         paths: by AGV number.
-        holding: vertex of each AGV that has no path: it stays there, and whoever is sent through waits until a later
+        holding: vertex of each AGV that has no path: it stays there, and AGVs sent through it wait until a later
             plan moves it away.
         graph, motion: the garage and how long moves take.
         in_edges: edge by which each AGV has come to where its path begins; not needed where it has turned already.

@@ -1,13 +1,13 @@
 """The ladder: how a deadlock is resolved, stage by stage, until there is progress.
 
-Stages, after the thesis (2025, III-4), each over the reservations of everybody outside the group:
+Stages, after the thesis (2025, III-4), each over the reservations of all AGVs outside the group:
 
 1. *partial CBS*: the group's conflicts are searched with bounded effort; every member gets a path to its goal.
 2. *leader*: the member of highest priority goes on while the others keep their places.
-3. *pull-over*: a leader goes on and the others clear the way, to their goals or to any place where they are in nobody's
+3. *pull-over*: a leader goes on and the others clear the way, to their goals or to any place where they are in no AGV's
    way; every member is tried as the leader, in order of priority.
-4. *widen*: whoever cut off the last possibility joins the group, and the stages are tried again.
-5. *lacam*: when nobody is left who could join, LaCAM* moves all of the group together, as in a sliding puzzle, where a
+4. *widen*: the AGV that cut off the last possibility joins the group, and the stages are tried again.
+5. *lacam*: when no AGV is left that could join, LaCAM* moves all of the group together, as in a sliding puzzle, where a
    leader has to give way as well before it can go on. Where it finds no plan that brings all to their goals, one is
    looked for that brings a leader to its own. After a climb in vain it may search for four times as long,
    up to 256 times (but for an obstruction, where the fault ends by itself); then the time to the next climb doubles.
@@ -141,7 +141,7 @@ class Ladder:
 
         Args:
             step: now.
-            waits: who waits for whom.
+            waits: which AGV waits for which.
             problem: makes the planning problem of this step: blocked vertices, and all AGVs that can move and carry out
                 no resolution.
             cut_off: the AGVs that faults keep from their goals.
@@ -251,7 +251,7 @@ class Ladder:
             self._in_vain(deadlock, "the plan made no progress", step)
 
     def _have_passed(self, deadlock: Deadlock) -> bool:
-        """All together are nearer to their goals than ever before, and nobody wants a place of another one any more."""
+        """All together are nearer to their goals than ever before, and none of them wants another one's place any more."""
         group = deadlock.carried[1]
         if deadlock.locked & deadlock.aside.keys() or self._progress.now(group) >= deadlock.best:
             return False
@@ -321,7 +321,7 @@ class Ladder:
             group += joining
 
     def _outside(self, group: Iterable[AgvNumber], step: int, problem: PlanningProblem) -> list[Path]:
-        """Paths of everybody outside the group, as the accepted orders have them."""
+        """Paths of all AGVs outside the group, as the accepted orders have them."""
         timed = retime(self._executor, step)
         inside = set(group)
         trails = [p for p in problem.fixed if p.agv not in timed]

@@ -1,7 +1,7 @@
 """The wait-for graph: which AGV waits for which other AGV, over the whole way ahead.
 
 An AGV is *held up* when the plan that was just made takes it no nearer to its goal: it stands without a plan, or it is
-driven back. It waits for the first AGV that will stand on its way when everybody's plan has been carried out, else for
+driven back. It waits for the first AGV that will stand on its way when all plans have been carried out, else for
 the first one that holds a vertex of its way now. An AGV that stands and has a plan waits for the AGV that holds the
 next vertex of its plan, or has been promised that vertex first. An AGV that cannot move waits for the end of its fault,
 and for no AGV. Three patterns stop the garage, and all are found here:
@@ -57,7 +57,7 @@ def wait_graph(
         executor: owners and orders of the vertices.
         agvs: the fleet.
         costs: finds the ways ahead, round parked cars.
-        resolving: AGVs that carry out the resolution of a deadlock; they wait for nobody.
+        resolving: AGVs that carry out the resolution of a deadlock; they wait for no AGV.
 
     Returns:
         Each AGV waits for at most one other.

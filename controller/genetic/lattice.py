@@ -58,7 +58,7 @@ class Instance:
 
 
 def random_instance(robots: int, rng: Generator, columns: int = 8, rows: int = 5) -> Instance:
-    """Starts at random, all different, and goals at random, all different; nobody's goal is its own start.
+    """Starts at random, all different, and goals at random, all different; no robot's goal is its own start.
 
     Raises:
         ValueError: more robots than intersections.

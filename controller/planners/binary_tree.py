@@ -151,7 +151,7 @@ class BinaryTreePlanner:
         """Plan for all agents of a problem.
 
         Returns:
-            SOLVED, or PARTIAL with the agents that hold their place and who is in their way (-1: no route).
+            SOLVED, or PARTIAL with the agents that hold their place and the agents in their way (-1: no route).
         """
         self._search.counters = Counters()
         self.table.reset(problem.fixed)
@@ -194,7 +194,7 @@ def _entries(
         arrive = max(stop.arrive + turn + steps, begin if following else begin + steps)
         if arrive > stop.last or (arrive if following else arrive - steps) >= problem.window_steps:
             return
-        # whoever enters a vertex and leaves the one before both at the last moment might close a ring
+        # an agent that enters a vertex and leaves the one before at the last moment might close a ring
         in_between = following and arrive == stop.last and arrive == begin
         if arrive < end and not in_between:
             yield k, _Stop(arrive, arrive - steps, end, -1)

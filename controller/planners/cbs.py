@@ -12,7 +12,7 @@ Two ways to split a conflict at a vertex:
 Guarantee: without limits and ranges SOLVED is optimal. Limits: if there is no solution the tree may grow for ever, so
 give limits; all paths run to the goal and rest there, whatever the window of the problem.
 
-As the planner ``cbs`` (``CbsPlanner``) it is the yardstick for small cases: every call plans everybody to the goal, and
+As the planner ``cbs`` (``CbsPlanner``) it is the yardstick for small cases: every call plans every AGV to its goal, and
 one that the limit ends is planned as by WHCA* instead.
 """
 

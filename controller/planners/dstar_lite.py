@@ -92,7 +92,7 @@ class DStarLite:
 
         Args:
             agent: the agent, not at its goal.
-            closed: shape (n,), 1 where nobody may drive.
+            closed: shape (n,), 1 where no AGV may drive.
 
         Returns:
             The search; g is exact along the shortest paths from where the agent stands.

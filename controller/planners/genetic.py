@@ -11,7 +11,7 @@ Guarantee: free of conflicts like WHCA*'s plan, and never worse than it in agent
 collides after the last generation holds its place, those in most collisions first; if that is worse than WHCA*'s plan,
 WHCA*'s plan is the answer. Without a delay to remove nothing is bred.
 Limits: some thirty times the work of WHCA* with the defaults; what it wins is waiting that the order of priorities
-caused, a few per cent of the delay. It helps where many meet in one window, and not where nobody could wait less.
+caused, a few per cent of the delay. It helps where many agents meet in one window.
 """
 
 from __future__ import annotations
@@ -270,7 +270,7 @@ def _timed(problem: PlanningProblem, agent: PlanAgent, route: Path, stops: Genes
 
 
 def _repair(problem: PlanningProblem, paths: dict[AgvNumber, Path]) -> dict[AgvNumber, Path]:
-    """Let those that collide hold their places, the ones in most collisions first, until nobody does."""
+    """Let those that collide hold their places, the ones in most collisions first, until none collides."""
     paths = dict(paths)
     starts = {agent.agv: agent.vertex for agent in problem.agents}
     while True:
@@ -334,7 +334,7 @@ def _cost(order: Genes, stops: Genes, routes: _Routes, visits: _Visits, found: N
 
 @kernel
 def _drive(i: int, k: int, stops: Genes, routes: _Routes, visits: _Visits, row: int) -> tuple[int, int, int]:
-    """Let an agent drive among those before it: whom it meets, the next free row, and its arrival at the goal."""
+    """Let an agent drive among those before it: the agents it meets, the next free row, and its arrival at the goal."""
     unit, window, following = routes.scale
     size = routes.size[i, k]
     met, entered, t = 0, 0, routes.ready[i]

@@ -1,6 +1,6 @@
 """LaCAM* (Okumura 2023, "LaCAM" and "Improving LaCAM"): lazy search over configurations, with PIBT as their generator.
 
-A configuration says where everybody is; a move leads to the next one. The search goes depth first: PIBT proposes the
+A configuration says where every agent is; a move leads to the next one. The search goes depth first: PIBT proposes the
 next configuration, and each time the search comes back to one, a further constraint (who has to go where) makes PIBT
 propose another. Once the goals are reached the rest of the effort improves the plan, as costs are passed on between
 configurations that are known already. Moves last one unit in the search; afterwards each agent's way and the order of
@@ -133,7 +133,7 @@ class Lacam:
             leader: the only one that has to come to its goal, which is far easier to find; ``NO_AGV``: all have to.
 
         Returns:
-            As ``__call__``, but PARTIAL, with a path for everybody, when some may end elsewhere: ``failed`` names them.
+            As ``__call__``, but PARTIAL, with a path for each agent, when some may end elsewhere: ``failed`` names them.
         """
         search = _Search(problem, self._space, self._outward, self.options, leader)
         status = search.run()
@@ -170,7 +170,7 @@ class _Search:
         self._places_known: dict[tuple[int, Vertex], list[Vertex]] = {}
         self._goals, self.elsewhere, self.distance = self._aims()
         self._leads, self._hopeless = leader != NO_AGV, leader in self.elsewhere
-        #: Moves left of those who have to come to their goals; the others make for theirs, too, but need not be there.
+        #: Moves left of the agents that have to come to their goals. The others need not arrive.
         self._left = self.distance
         if self._leads:
             self._left = np.zeros_like(self.distance)
@@ -312,7 +312,7 @@ def _fill_distances(goal: int, closed: NDArray[np.uint8], lanes: Lanes, distance
 
 @kernel
 def _moves_paid(Q_from: IntArray, Q_to: IntArray, distance: IntArray) -> int:
-    """A unit for everybody who is not at the goal before and after."""
+    """A unit for each agent that is not at its goal before and after."""
     paid = 0
     for i in range(len(Q_from)):
         paid += distance[i, Q_from[i]] > 0 or distance[i, Q_to[i]] > 0
@@ -324,7 +324,7 @@ def _settle(
     Q: IntArray, order: IntArray, told: IntArray, moves: Moves, distance: IntArray, closed: NDArray[np.uint8],
     lanes: Lanes, salt: int,
 ) -> bool:  # fmt: skip
-    """Settle everybody's move from ``Q``, first of those who are told where to go; False if that is impossible."""
+    """Settle every agent's move from ``Q``, first the agents that are told where to go; False if that is impossible."""
     _begin(Q, moves, distance, closed, lanes, salt)
     possible = True
     for k in range(len(told)):
@@ -341,7 +341,7 @@ def _settle(
 
 @kernel
 def _begin(Q: IntArray, moves: Moves, distance: IntArray, closed: NDArray[np.uint8], lanes: Lanes, salt: int) -> None:
-    """Nobody's move is settled; everybody's places are ranked by distance, of equal ones the empty ones first."""
+    """No move is settled. Every agent's places are ranked by distance; of equal places, empty ones come first."""
     moves.next[:] = NOBODY
     for i in range(len(Q)):
         moves.now[i] = Q[i]
@@ -392,7 +392,7 @@ def timed_paths(
     configurations: Sequence[IntArray],
     free_at: Mapping[Vertex, int],
 ) -> dict[AgvNumber, Path]:
-    """Earliest times for everybody's way that keep the order of visits at each vertex.
+    """Earliest times for every agent's way that keep the order of visits at each vertex.
 
     Args:
         problem: graph and motion.
@@ -401,7 +401,7 @@ def timed_paths(
         free_at: step from which on a vertex is free at all, where that is not now.
 
     Returns:
-        A path for each agent, without waits that nobody is the cause of.
+        A path for each agent, without waits that have no cause.
     """
     graph, motion = problem.graph, problem.motion
     free = dict(free_at)
@@ -426,7 +426,7 @@ def timed_paths(
 
 
 def _who_leaves_first(before: IntArray, after: IntArray) -> list[int]:
-    """Those who move, so that whoever enters a vertex comes behind the one that leaves it."""
+    """The agents that move, in an order in which an agent that enters a vertex comes after the agent that leaves it."""
     at = {int(v): i for i, v in enumerate(before)}
     found: dict[int, None] = {}
     for first in np.flatnonzero(before != after).tolist():

@@ -5,8 +5,8 @@ and are planned again, the late agent first. The new paths are accepted if the s
 Otherwise the old paths stay, and the next attempt uses another order. Agents tried in vain come after all others.
 ``Detours`` also treats agents on long detours as late, and replans the agents that block their short way.
 
-Guarantee: whatever is returned is as free of conflicts as what came in, everybody still rests at the end of its path,
-and the sum of arrivals never grows. Limits: a local search; somebody may be overtaken again and again by agents with
+Guarantee: whatever is returned is as free of conflicts as what came in, every agent still rests at the end of its path,
+and the sum of arrivals never grows. Limits: a local search; an agent may be overtaken again and again by agents with
 new goals. Departures from the paper: one kind of neighbourhood, and a number of tries instead of a time limit.
 """
 
@@ -125,12 +125,12 @@ class Improvement:
         return np.frombuffer(packed, dtype=np.int32).reshape(-1, 4)
 
     def _in_the_way(self, agv: AgvNumber, threshold: int) -> list[AgvNumber]:
-        """Those whom the agent waits for, in the order of meeting."""
+        """The agents that the agent waits for, in the order of meeting."""
         met = np.empty(MOST_MET, dtype=np.int32)
         return self._neighbours(agv, met, 0)
 
     def _neighbours(self, agv: AgvNumber, met: IntArray, k: int) -> list[AgvNumber]:
-        """Those of the first ``k`` of ``met`` and those whom the agent waits for that may be planned again with it."""
+        """Agents that may be planned again with this one: of the first ``k`` of ``met``, and of those it waits for."""
         k = _meet_waiting(self._told_of([agv]), self.table.reserved, self._lanes, met, k)
         return [other for other in met[:k].tolist() if other != agv and other in self.agents][:NEIGHBOURS]
 
@@ -163,7 +163,7 @@ class Detours(Improvement):
     def _lateness(self, agvs: Sequence[AgvNumber], threshold: int) -> dict[AgvNumber, int]:
         """How many steps later each of these AGVs arrives than if it were alone, as far as is known unsearched.
 
-        Of those who go nearly straight all the way no more is asked: they are not late.
+        Agents that go nearly straight all the way are not looked at further: they are not late.
         """
         lateness = {}
         for agv, (_, arrival, longer) in zip(agvs, self._paths_of(agvs), strict=True):
@@ -172,7 +172,7 @@ class Detours(Improvement):
         return lateness
 
     def _in_the_way(self, agv: AgvNumber, threshold: int) -> list[AgvNumber]:
-        """Those whom the agent would meet if it went as if it were alone, and those it waits for as it goes.
+        """The agents that this one would meet if it went as if alone, and the agents it waits for on its path.
 
         Nobody if it turns out that even alone it would hardly be earlier.
         """
@@ -203,7 +203,7 @@ def _look_at(told: IntArray, reserved: Reserved, lanes: Lanes, rates: FloatArray
         waited, came, ready = 0, told[i, CAME], told[i, READY]
         for k in range(n - 1):
             came, could = _set_out(place, k, came, ready, told[i, LOADED], reserved.words, lanes)
-            waited += max(0, reserved.words[place + HEAD + 2 * n + k] - could)  # who has turned already sets out before
+            waited += max(0, reserved.words[place + HEAD + 2 * n + k] - could)  # it may have turned already
             ready = reserved.words[place + HEAD + n + k + 1]
         arrival = reserved.words[place + HEAD + 2 * n - 1]
         u, v = reserved.words[place + HEAD], reserved.words[place + HEAD + n - 1]
@@ -253,7 +253,7 @@ def _meet_on_way(way: IntArray, ready: int, reserved: Reserved, met: IntArray) -
 
 @kernel
 def _meet(v: int, first: int, last: int, reserved: Reserved, met: IntArray, n: int) -> int:
-    """Who owns a vertex between two steps, those who end or begin just then included.
+    """The agents that own a vertex between two steps, with those that end or begin just then.
 
     Args:
         v, first, last: where and when.

@@ -45,7 +45,7 @@ class MoveSearch(Protocol):
 
         Args:
             agent: the agent, not at its goal.
-            blocked: shape (n,), where nobody may drive; the goal is exempt.
+            blocked: shape (n,), where no AGV may drive; the goal is exempt.
             obstacles: further vertices that may not be entered for the moment, the goal included.
         """
 
@@ -67,7 +67,7 @@ class OneStep:
         """Plan one move for all agents of a problem.
 
         Returns:
-            SOLVED with paths of at most one move; those who have no way at present have a path that stays.
+            SOLVED with paths of at most one move; agents without a way at present have a path that stays.
         """
         self.search.counters[:] = 0
         passed = {v for path in problem.fixed for v in path.vertices}
@@ -85,7 +85,7 @@ class OneStep:
                 edge = self.search.next_edge(agent, blocked, {*taken, *passed})
             path = one_move_path(problem, agent, edge)
             paths[agent.agv] = path
-            if not following or path.arrive[-1] == 1:  # whoever turns first is an obstacle where it stands
+            if not following or path.arrive[-1] == 1:  # an agent that turns first is an obstacle where it stands
                 next_[agent.agv] = path.vertices[-1]
         return PlanResult(Status.SOLVED, paths, counters=Counters(*self.search.counters.tolist()))
 

@@ -64,7 +64,7 @@ class OnlineMapf:
 
         Returns:
             SOLVED with a path for each agent, one of a single vertex for those that wait; PARTIAL when some found none,
-            with who is in their way.
+            with the agents in their way.
         """
         self.distances.counters[:] = 0
         self._search.begin(problem)
@@ -95,7 +95,7 @@ class OnlineMapf:
     def _plan(
         self, order: Sequence[PlanAgent], problem: PlanningProblem
     ) -> tuple[dict[AgvNumber, Path], dict[AgvNumber, AgvNumber]]:
-        """Paths in this order, and for those without one who is in the way; an agent without a path keeps its place."""
+        """Paths in this order, and the agent in the way of each agent without a path, which keeps its place."""
         agents = {agent.agv for agent in order}
         self.table.reset([path for path in problem.fixed if path.agv not in agents])
         for agent in order:
@@ -128,7 +128,7 @@ class OnlineMapf:
 
 
 class _Order:
-    """One order of priority; who failed in it is noted."""
+    """One order of priority; the agents that failed in it are noted."""
 
     def __init__(self, agents: tuple[PlanAgent, ...]) -> None:
         self.agents = agents
@@ -136,7 +136,7 @@ class _Order:
 
 
 class _Orders:
-    """Orders of priority, each once: the given one, then who failed goes first, then whatever is left."""
+    """Orders of priority, each once: the given one, then those in which a failed agent goes first, then the rest."""
 
     def __init__(self, agents: Sequence[PlanAgent], most: int) -> None:
         self._agents = tuple(agents)
@@ -210,10 +210,10 @@ def current_goals(
         distance: how far each robot is from its final goal.
         way_points: for each place that several may want, where to wait for it, nearest to it first. Nobody's final
             goal is a way point of another.
-        standing: places where robots stand, by vertex: nobody else is sent there.
+        standing: places where robots stand, by vertex: no other robot is sent there.
 
     Returns:
-        The current goal of each robot; one for whom no way point is left keeps its final goal.
+        The current goal of each robot; a robot for which no way point is left keeps its final goal.
     """
     taken = dict(standing or {})
     goals: dict[AgvNumber, Vertex] = {}

@@ -48,7 +48,7 @@ class _Node:
 
     Attributes:
         above: for each agent the set of those before it, transitively closed, as bits.
-        group: the paths, and who meets whom.
+        group: the paths, and which agents meet.
         paths: the paths; None before the first one is found.
         costs: steps to the goal of each agent.
     """

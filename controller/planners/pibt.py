@@ -6,12 +6,12 @@ An agent's priority grows while it is on its way to its goal, and is reset at th
 
 Departures from the paper, for garages. No ring of agents moves on as a whole (three or more, each into the place of
 the next one), since bodies can't. A dead end is reserved as one: the neck of the goal's dead end (the aisle vertex of a
-slot) is entered only together with everything between it and the goal, so that nobody waits at the neck for one who
-has to come out over it. Who acts, or drives for longer than two moves, stands. Durations are put in afterwards: who
-enters a vertex that is left in the same plan does so when it has been left.
+slot) is entered only together with everything between it and the goal, so that no agent waits at the neck for another
+that has to come out over it. An agent that acts, or drives for longer than two moves, stands. Durations are put in
+afterwards: an agent enters a vertex that is left in the same plan when it has been left.
 
 Guarantee: moves are free of conflicts with each other, and with ``fixed`` up to the window. The paper's guarantee, that
-everybody reaches the goal, needs a ring through every edge: in dead ends and single corridors it is lost, and agents
+every agent reaches its goal, needs a ring through every edge: in dead ends and single corridors it is lost, and agents
 may push each other to and fro, which is for deadlock handling to see. Limits: plans one move, so it needs a window.
 """
 
@@ -55,7 +55,7 @@ class Moves(NamedTuple):
         ranked: vertices each agent may go to, the best first, -1 behind the last, shape (a, d).
         goals: shape (a,).
         outward: next vertex on the way out of a dead end, -1 outside of dead ends, shape (n,).
-        chain, tried: room for those who inherit a priority, and for how many places each has tried, shape (a,).
+        chain, tried: room for agents that inherit a priority, and for how many places each has tried, shape (a,).
         keys: room for the keys of one agent's ranking, shape (d,).
     """
 
@@ -282,7 +282,7 @@ def _enters_dead_end(i: int, v: int, moves: Moves) -> bool:
 
 @kernel
 def _may_enter(i: int, v: int, moves: Moves) -> bool:
-    """Not into the dead end of the own goal, or its neck, while somebody is in it further on."""
+    """Not into the dead end of the own goal, or its neck, while another agent is in it further on."""
     if _enters_dead_end(i, v, moves):
         w = moves.goals[i]
         while w != v:
@@ -294,7 +294,7 @@ def _may_enter(i: int, v: int, moves: Moves) -> bool:
 
 @kernel
 def _reserve_beyond(i: int, v: int, taker: int, moves: Moves) -> None:
-    """Reserve the dead end of the goal beyond ``v`` with it; or, for nobody, give it back."""
+    """Reserve ``v`` and the dead end of the goal beyond it; for no agent, give them back."""
     if _enters_dead_end(i, v, moves):
         w = moves.goals[i]
         while w != v:
@@ -304,7 +304,7 @@ def _reserve_beyond(i: int, v: int, taker: int, moves: Moves) -> None:
 
 @kernel
 def closes_ring(i: int, v: int, moves: Moves) -> bool:
-    """Whether those who move on from ``v`` come round to where ``i`` stands; two are a swap."""
+    """Whether the agents that move on from ``v`` form a ring with ``i``; a ring of two is a swap."""
     j = moves.occupant[v]
     while j != NOBODY and j != i and moves.next[j] != NOBODY:
         v = moves.next[j]
@@ -319,7 +319,7 @@ def closes_ring(i: int, v: int, moves: Moves) -> bool:
 def _timed(
     problem: PlanningProblem, agents: Sequence[PlanAgent], moves: Moves, free_at: Mapping[Vertex, int]
 ) -> dict[AgvNumber, Path]:
-    """Put durations in: whoever enters a vertex waits for the one that leaves it."""
+    """Put durations in: an agent that enters a vertex waits for the agent that leaves it."""
     graph, motion = problem.graph, problem.motion
     paths: dict[AgvNumber, Path] = {}
     stack = list(range(len(agents)))[::-1]

@@ -1,6 +1,6 @@
 """The thesis's pipeline: D* Lite, reservation table, wait-for graph, partial CBS, leader, pull-over (2025, III-3.3).
 
-Pseudo-code 3, once a move. The reservation table is empty but for where everybody is now. AGVs are planned by priority:
+Pseudo-code 3, once a move. The reservation table is empty but for where every AGV is now. AGVs are planned by priority:
 each asks a D* Lite of its own, kept and repaired but told of no other AGV, for its next h cells. Where they conflict
 with what is reserved, an edge of the wait-for graph leads to the holder; two AGVs whose next moves conflict wait for
 each other. A strongly connected component of two or more is a deadlock: partial CBS plans its AGVs over the table and
@@ -20,7 +20,7 @@ Departures from pseudo-code 3:
 - AGVs without anything to do are reserved for the whole window, and closed to the searches like parked cars. The
   authors' program forgets them after t = 0, and lets others drive through them.
 - An AGV that can't set out yet (it turns, lifts, charges) is reserved where it stands until it can.
-- CBS has to move somebody, or it has failed; the program's CBS succeeds without progress. See ``partial_cbs``.
+- CBS has to move an AGV, or it has failed; the program's CBS succeeds without progress. See ``partial_cbs``.
 - Each strongly connected component is a group of its own, of its members of highest priority.
 - The others pull over only if one of them stands in the leader's way, and not to where another one still stands.
 - Of two that meet in the end the one of lower priority stays. Nobody moves to a place that is not left in the same
@@ -143,7 +143,7 @@ class _Call:
         self._goals = {agent.goal for agent in self.order}
 
     def plan(self) -> None:
-        """Plan and reserve the agents' next h cells, one after the other; note who waits for whom."""
+        """Plan and reserve the agents' next h cells, one after the other; note which AGV waits for which."""
         table = self.table
         for path in self.problem.fixed:
             for v in path.vertices:
@@ -205,7 +205,7 @@ class _Call:
         return cells
 
     def _choice(self, member: Member, t: int, u: Vertex, in_edge: EdgeIndex) -> EdgeIndex:
-        """The edge for move ``t`` from ``u``: the first that nobody has reserved. Each reservation is waited for."""
+        """The edge for move ``t`` from ``u``: the first that no AGV has reserved. Each reservation is waited for."""
         chosen, agv = STAY, member.agent.agv
         ranked = self._ranked(member, u, in_edge)
         for edge, v in ranked if self.planner.options.sidestep else ranked[:1]:
@@ -232,7 +232,7 @@ class _Call:
     # --- deadlocks --------------------------------------------------------------------------------------------------
 
     def _resolve(self, group: Sequence[AgvNumber]) -> None:
-        """Partial CBS; if that moves nobody on, the leader; if it can't, others pull over for it."""
+        """Partial CBS; if that moves no AGV on, the leader; if it can't, others pull over for it."""
         plans = self.planner.cbs.solve([self.members[n] for n in group], self.table)
         if plans and any(cells[1] != cells[0] for cells in plans.values()):
             self.planner.stages["partial_cbs"] += 1
@@ -280,7 +280,7 @@ class _Call:
 def settle(
     problem: PlanningProblem, order: Sequence[PlanAgent], wanted: Mapping[AgvNumber, Vertex]
 ) -> dict[AgvNumber, Path]:
-    """Final conflict resolution: who would meet an AGV of higher priority stays, until nobody meets anybody.
+    """Final conflict resolution: an AGV that would meet one of higher priority stays, until no two AGVs meet.
 
     Args:
         problem: what is planned.

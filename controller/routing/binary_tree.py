@@ -146,7 +146,7 @@ def find_routes(
         vertex: where the AGV is.
         goal: where it shall go.
         in_edge: edge over which it came to ``vertex``, -1 if it may leave any way.
-        blocked: shape (n,), 1 where nobody may drive; the goal is exempt.
+        blocked: shape (n,), 1 where no AGV may drive; the goal is exempt.
 
     Returns:
         Both routes; None, both at once, if there is none.

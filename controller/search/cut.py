@@ -18,7 +18,7 @@ def closed_around(
 
     Args:
         start, goal: vertices; the start may be closed, a closed goal is all that is returned.
-        closed: shape (n,), 1 where nobody may drive.
+        closed: shape (n,), 1 where no AGV may drive.
         lanes: the garage.
         counters: gets an expansion for each of these places.
 

@@ -1,4 +1,4 @@
-"""Exact remaining steps to a goal, found only as far as somebody asks: RRA* (Silver 2005, reverse resumable A*).
+"""Exact remaining steps to a goal, found only as far as a caller asks: RRA* (Silver 2005, reverse resumable A*).
 
 A state is an edge: "at its head, having come over it", so that turns count. The search runs backwards from the goal and
 is aimed at the first vertex that asked; a later question resumes it where it stopped. Other agents are ignored, blocked
@@ -8,7 +8,7 @@ vertex may come back to it; that its best way leads through it a second time is 
 Departures from the paper: durations differ per edge, turns cost time, and the estimate is the larger of the Manhattan
 and the Euclidean distance times the fastest pace of any edge (consistent, so a closed state is final). A search aimed
 at a landmark goes straight to it by the landmark's table, see ``landmarks``; a quickest way from there is even read
-from the table, and searched for only when somebody asks for more.
+from the table, and searched for only when a caller asks for more.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Distances:
 
     Attributes:
         space: the garage.
-        blocked: shape (n,), where nobody may drive; set by ``update``.
+        blocked: shape (n,), where no AGV may drive; set by ``update``.
         counters: search work so far, int64: expanded, heap moves, generated, valid.
     """
 

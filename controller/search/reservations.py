@@ -88,7 +88,7 @@ class ReservationTable:
         return bool(_admits(_packed((path,)), self.reserved, self.following))
 
     def put(self, words: IntArray, paths: int) -> None:
-        """Reserve so many paths, given as the table keeps them, see ``Reserved``."""
+        """Reserve ``n`` paths, given as the table keeps them, see ``Reserved``."""
         self.make_room(len(words), paths)
         done = 0
         while True:
@@ -122,7 +122,7 @@ class ReservationTable:
         return Path(agv, tuple(numbers[:n]), tuple(numbers[n : 2 * n]), tuple(numbers[2 * n : -1]), numbers[-1])
 
     def rests(self, but: AgvNumber) -> IntArray:
-        """Vertices where somebody rests for ever, but for one agent."""
+        """Vertices where an agent rests for ever; one agent does not count."""
         vertices = np.empty(self.reserved.used[SPANS], dtype=np.int32)
         return vertices[: _rests(but, self.reserved, vertices)]
 

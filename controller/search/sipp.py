@@ -105,7 +105,7 @@ class PathSearch:
     """Finds paths for single agents; holds the search memory.
 
     Args:
-        distances: the exact distances of the garage, shared with whoever else needs them.
+        distances: the exact distances of the garage, shared with all others that need them.
         slack: steps by which complete paths may be later than the quickest ones.
 
     Attributes:
@@ -140,7 +140,7 @@ class PathSearch:
 
         Args:
             problem: window, resting rules and motion; ``begin`` must have been called with it.
-            agent: who is looked for; its own reservations must not be in the table.
+            agent: the agent to find a path for; its own reservations must not be in the table.
             table: the reservations to keep clear of.
             forbidden: (edge, step): the edge may not be arrived by at that step.
             max_expansions: give up after that many.
@@ -169,7 +169,7 @@ class PathSearch:
         return self._run(_find_and_reserve, query, _NO_BANS, agent, table)
 
     def find_refuge(self, problem: PlanningProblem, agent: PlanAgent, table: ReservationTable) -> Path | None:
-        """The agent's quickest way to any vertex where it is in nobody's way to the end of the window.
+        """The agent's quickest way to any vertex where it is in no other agent's way to the end of the window.
 
         Vertices with ``no_rest`` are not taken. Arguments and result as for ``find_path``; the goal is ignored.
         """
