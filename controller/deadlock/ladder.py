@@ -251,7 +251,7 @@ class Ladder:
             self._in_vain(deadlock, "the plan made no progress", step)
 
     def _have_passed(self, deadlock: Deadlock) -> bool:
-        """All together are nearer to their goals than ever before, and none of them wants another one's place any more."""
+        """All are nearer to their goals together than ever before, and none wants another one's place any more."""
         group = deadlock.carried[1]
         if deadlock.locked & deadlock.aside.keys() or self._progress.now(group) >= deadlock.best:
             return False

@@ -133,7 +133,7 @@ class Lacam:
             leader: the only one that has to come to its goal, which is far easier to find; ``NO_AGV``: all have to.
 
         Returns:
-            As ``__call__``, but PARTIAL, with a path for each agent, when some may end elsewhere: ``failed`` names them.
+            As ``__call__``, but PARTIAL, with paths for all agents, if some may end elsewhere: ``failed`` names them.
         """
         search = _Search(problem, self._space, self._outward, self.options, leader)
         status = search.run()
