@@ -50,7 +50,7 @@ class RecordedDeadlock:
         tried: stages that found nothing, with the reason and how often.
         stage: what resolved it; empty if nothing did.
         plans_failed: agents without a path and refused plans in the minute before.
-        faults: what was wrong in the garage while it lasted: cause and whom or what it concerned.
+        faults: what was wrong in the garage while it lasted: the cause, and the AGV or place concerned.
     """
 
     number: int

@@ -64,7 +64,7 @@ class ControlConfig(_Options):
         default=5.0,
         gt=0,
         le=DAY_S,
-        description="events: plan after so long while somebody stands who has somewhere to go, seconds",
+        description="events: plan after this time while an AGV stands that has somewhere to go, seconds",
     )
     reorder: bool = Field(
         default=False, description="AGVs that wait behind a late one go first where that pays: orders are switched"
@@ -89,7 +89,7 @@ class ControlConfig(_Options):
         description="greatest window, moves; default: the planner's own (whca 21, others 11), or what fits the other"
         " two",
     )
-    window_step: int = Field(default=2, ge=1, le=10_000, description="the window changes in steps of so many moves")
+    window_step: int = Field(default=2, ge=1, le=10_000, description="the window changes in steps of this many moves")
     score_keep: float = Field(
         default=0.6,
         ge=0,

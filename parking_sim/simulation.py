@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from parking_sim.shadowing import require_own_packages
 
@@ -81,7 +81,7 @@ class Summary:
     """
 
     status: Ended
-    metrics: Mapping[str, Any]
+    metrics: Mapping[str, float]
     folder: Path | None
     failed: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
