@@ -11,9 +11,9 @@ from pathlib import Path
 
 #: Modules of ``parking_sim`` that start runs but take no part in them: a change there leaves finished runs valid.
 _AROUND_A_RUN = {
-    "__init__", "__main__", "cli", "columns", "command_groups", "demo", "doctor", "example_files", "examples", "folders",
-    "gate_logs", "library", "many_runs", "planner_check", "progress", "reproduce", "rerun", "routes", "shadowing",
-    "sizing", "stepwise", "studies", "sweep_plan", "terminal", "tuning", "versions", "workers",
+    "__init__", "__main__", "cli", "columns", "command_groups", "demo", "doctor", "example_files", "examples",
+    "folders", "gate_logs", "library", "many_runs", "planner_check", "progress", "reproduce", "rerun", "routes",
+    "shadowing", "sizing", "stepwise", "studies", "sweep_plan", "terminal", "tuning", "versions", "workers",
 }  # fmt: skip
 _OF_ANALYSIS = {"journal", "metrics", "parquet", "record", "tables"}
 
