@@ -23,4 +23,5 @@ def test_all_files_name_the_same_version_and_date() -> None:
 @pytest.mark.parametrize("picture", sorted((ROOT / "docs" / "pictures").iterdir()), ids=lambda path: path.name)
 def test_pictures_are_small_and_shown(picture: Path) -> None:
     assert picture.stat().st_size < 200_000
-    assert f"docs/pictures/{picture.name}" in (ROOT / "README.md").read_text(encoding="utf-8")
+    pages = (ROOT / "README.md", *(ROOT / "docs").glob("*.md"))
+    assert any(f"pictures/{picture.name}" in page.read_text(encoding="utf-8") for page in pages)
