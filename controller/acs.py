@@ -74,7 +74,7 @@ class Acs:
         self.graph, self.garage, self.rules = setup.graph, setup.garage, setup.rules
         self.log = setup.log
         self.agvs: Numbered[AgvNumber, Agv] = [Agv(n, home, home) for n, home in numbered(setup.homes)]
-        self.executor = Executor(setup.graph, setup.motion, setup.homes)
+        self.executor = Executor(setup.graph, setup.motion, setup.homes, barred=self._barred)
         self.costs = Costs(setup.graph, setup.motion, setup.garage.blocked)
         self.planning = Planning(
             setup.planner, setup.options, self.agvs, self.executor, setup.rules, self.costs, self.log, setup.clock
@@ -394,6 +394,10 @@ class Acs:
             self._give_back(agv)
 
     # --- what planning has to know --------------------------------------------------------------------------------
+
+    def _barred(self, n: AgvNumber, vertex: Vertex) -> bool:
+        """A car is parked there, and it is not the one that the AGV goes for."""
+        return bool(self.garage.blocked[vertex]) and vertex not in (self.agvs[n].goal, self.agvs[n].heads_for)
 
     def _blocked(self) -> Mask:
         if not (self.outages.closed or self.outages.immobile):

@@ -4,7 +4,8 @@ A plan is taken as a visiting order for each vertex; its clock is forgotten (Hö
 Ma, Kumar and Koenig 2017, MAPF-POST). The story of a vertex:
 
 1. *order*: the accepted plan says in which order AGVs visit it;
-2. *claim*: the first in the order claims it when it is free and the AGV's authority ends next door;
+2. *claim*: the first in the order claims it when it is free, neither closed nor barred by a parked car, and the AGV's
+   authority ends next door;
 3. *grant*: a claimed vertex is granted to the plant, the AGV may drive there; where a vertex may be entered in the
    tick in which it is left, a ring of three or more is granted together as soon as all of them are ready;
 4. *free*: the vertex belongs to the AGV until the plant says that its rear has left.
@@ -17,7 +18,7 @@ garage; it cannot make two AGVs meet.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -37,7 +38,7 @@ from controller.types import (
     Path,
     RequestNumber,
 )
-from controller.visits import Refusal, malformed, visiting_order
+from controller.visits import Barred, Refusal, malformed, visiting_order
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import NO_EDGE, NO_VERTEX, EdgeIndex, Numbered, NumberedList, Vertex, numbered, numbers
 
@@ -100,12 +101,21 @@ class Executor:
         graph, motion: the garage and how long moves take.
         starts: start vertex of each AGV, all different.
         lookahead: vertices granted ahead of the last reached one; 1 where following is allowed (one cell a tick).
+        barred: says of an AGV and a vertex that the AGV must not drive there now, whatever was planned: a car stands
+            there that is none of its business. By default nothing is barred.
 
     Raises:
         ValueError: two AGVs start on one vertex.
     """
 
-    def __init__(self, graph: Graph, motion: Motion, starts: Numbered[AgvNumber, Vertex], lookahead: int = 3) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        motion: Motion,
+        starts: Numbered[AgvNumber, Vertex],
+        lookahead: int = 3,
+        barred: Callable[[AgvNumber, Vertex], bool] = lambda _agv, _vertex: False,
+    ) -> None:
         if len(set(starts)) != len(starts):
             raise ValueError("two AGVs start on one vertex")
         self.graph = graph
@@ -119,6 +129,7 @@ class Executor:
         self.moves: NumberedList[AgvNumber, int] = [0] * len(starts)
         self.distance_m: NumberedList[AgvNumber, float] = [0.0] * len(starts)
         self.closed: frozenset[Vertex] = frozenset()
+        self._barred = barred
         # lanes that do not lead on to every lane at their end: SUMO swings a body round only when it drives on, so that
         # an AGV that has turned there still lies on such a lane, and the ways that it bars stay barred
         lane_of = np.repeat(np.arange(len(graph.tail)), np.diff(motion.first_transition))
@@ -133,11 +144,12 @@ class Executor:
         self.closed = vertices
         self._due.update(numbers(self.agvs))
 
-    def accept(self, paths: Mapping[AgvNumber, Path]) -> Refusal | None:
+    def accept(self, paths: Mapping[AgvNumber, Path], barred: Barred | None = None) -> Refusal | None:
         """Replace all visiting orders by a plan; AGVs without a path keep their place.
 
         Args:
             paths: by AGV number; each starts where that AGV's authority ends.
+            barred: where the AGVs that have a new path may not drive; None bars nothing.
 
         Returns:
             None when the plan is taken, otherwise why it is refused; then the orders are as before.
@@ -148,6 +160,9 @@ class Executor:
                 return Refusal("form", (agv,), NO_VERTEX, wrong)
             if path.vertices[0] != self.agvs[agv].last:
                 return Refusal("start", (agv,), path.vertices[0], "the path does not start where the authority ends")
+            if barred and (v := barred.on(path)) != NO_VERTEX:
+                name = self.graph.names[v]
+                return Refusal("blocked", (agv,), v, f"AGV {agv} would drive through {name}, which is blocked")
         holding = {agv: a.last for agv, a in numbered(self.agvs) if agv not in paths}
         agvs = self.agvs
         in_edges = {n: agvs[n].in_edge for n, p in paths.items() if agvs[n].turned_to not in p.vertices[1:2]}
@@ -314,7 +329,11 @@ class Executor:
         if not a.pending or not a.able or a.acting_until >= 0 or a.granted > a.reached:
             return False
         w = a.pending[0]
-        return not self._must_turn(a, w) and self.order[w][0] == agv and w not in self.closed
+        return not self._must_turn(a, w) and self.order[w][0] == agv and not self._shut(agv, w)
+
+    def _shut(self, agv: AgvNumber, vertex: Vertex) -> bool:
+        """Whether an AGV must not enter a vertex now, even if no AGV is there."""
+        return vertex in self.closed or self._barred(agv, vertex)
 
     def _rotate(self, ring: Collection[AgvNumber], commands: list[Command]) -> None:
         """Let each AGV of a ring enter the vertex of the next one, all in this tick."""
@@ -330,7 +349,7 @@ class Executor:
             commands.append(Advance(agv, (w,)))
 
     def _claim(self, agv: AgvNumber, vertex: Vertex) -> bool:
-        if self.owner[vertex] not in (-1, agv) or self.order[vertex][0] != agv or vertex in self.closed:
+        if self.owner[vertex] not in (-1, agv) or self.order[vertex][0] != agv or self._shut(agv, vertex):
             return False
         self.order[vertex].popleft()
         self.owner[vertex] = agv

@@ -33,6 +33,7 @@ from controller.types import (
     PlanResult,
     Status,
 )
+from controller.visits import Barred
 from controller.window import Window, WindowRange, WindowRule, count_sccs
 from sumo_nets.numbering import Numbered, Vertex, numbered
 
@@ -298,7 +299,8 @@ class Planning:
 
     def _take(self, step: int, problem: PlanningProblem, result: PlanResult) -> None:
         paths = {path.agv: path for path in problem.fixed if path.agv < TRAIL} | dict(result.paths)
-        refusal = self._executor.accept(paths)
+        goals = {agent.agv: agent.goal for agent in (*problem.carrying, *problem.agents) if agent.agv in result.paths}
+        refusal = self._executor.accept(paths, Barred(problem.blocked, goals))
         if refusal:
             detail = {"reason": refusal.reason}
             self._log(Event("plan_rejected", refusal.agents[0], vertex=refusal.vertex, detail=detail))

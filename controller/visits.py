@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from controller.kernel import kernel
 from controller.types import FOREVER, NEVER, AgvNumber, Motion, Path
 from sumo_nets.graph import Graph, IntArray
-from sumo_nets.numbering import EdgeIndex, Vertex
+from sumo_nets.numbering import NO_VERTEX, EdgeIndex, Vertex
 
 Longs = NDArray[np.int64]
 
@@ -28,13 +28,13 @@ class Refusal:
     """Why a plan is not carried out.
 
     Attributes:
-        kind: "form", "start", "edge", "conflict" or "swap".
+        kind: "form", "start", "edge", "blocked", "conflict" or "swap".
         agents: the AGVs concerned.
         vertex: where.
         reason: in words.
     """
 
-    kind: Literal["form", "start", "edge", "conflict", "swap"]
+    kind: Literal["form", "start", "edge", "blocked", "conflict", "swap"]
     agents: tuple[AgvNumber, ...]
     vertex: Vertex
     reason: str
@@ -50,6 +50,27 @@ def malformed(agv: AgvNumber, path: Path) -> str:
     if arrive[0] < 0 or any(not arrive[i] <= t < arrive[i + 1] for i, t in enumerate(depart)):
         return f"AGV {agv}: its times do not run forwards"
     return ""
+
+
+@dataclass(frozen=True, eq=False)
+class Barred:
+    """Where agents may not drive: a parked car stands there, or an AGV that is out of order.
+
+    Attributes:
+        blocked: 1 for such a vertex, shape (n,).
+        goals: goal of each agent that has a new path; it may drive there. Paths of other agents are not looked at:
+            they were taken when something else was blocked.
+    """
+
+    blocked: NDArray[np.uint8]
+    goals: Mapping[AgvNumber, Vertex]
+
+    def on(self, path: Path) -> Vertex:
+        """The first vertex of a path where its agent may not drive; ``NO_VERTEX`` if there is none."""
+        if path.agv not in self.goals or not self.blocked[list(path.vertices)].any():
+            return NO_VERTEX
+        free = path.vertices[0], self.goals[path.agv]
+        return next((v for v in path.vertices if self.blocked[v] and v not in free), NO_VERTEX)
 
 
 class FloorTables(NamedTuple):

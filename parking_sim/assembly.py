@@ -16,6 +16,7 @@ from controller.events import Log
 from controller.fleet import StuckBoost
 from controller.garage import Customers, Garage
 from controller.planners.cbs import CbsLimits
+from controller.planners.guest import PlannerError
 from controller.planners.table import load_planner
 from controller.planning import ControlOptions
 from controller.rules import Rules
@@ -99,7 +100,10 @@ class World:
         """
         s, graph = self.scenario, self.net.graph
         try:
-            planner = load_planner(s.planner_source, graph, self.motion, s.planner_options)
+            limit_s = s.control.planner_limit_s
+            planner = load_planner(s.planner_source, graph, self.motion, s.planner_options, limit_s)
+        except PlannerError:
+            raise
         except ValueError as error:
             raise InputError(f"planner: {error}") from None
         options = control_options(s.control, s.plant, self.rules.cell_steps, self.motion.step_s)

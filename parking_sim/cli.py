@@ -177,19 +177,25 @@ def replay_(
         raise InputError(f"{folder}: can't be written: {error.strerror}") from None
 
 
+Trust = Annotated[bool, typer.Option("--trust", help="Run the planner's file that the folder holds: it is code.")]
+
+
 @app.command()
 def resume(
     folder: Annotated[Path, typer.Argument(help="Folder of a run that was killed.")],
+    trust: Trust = False,
     report: Annotated[bool, typer.Option(help="Write an HTML report.")] = True,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
 ) -> None:
     """Finish a run that was killed: simulated anew, compared with what it had recorded, to the same record."""
     from analysis.run_files import JOURNAL
     from parking_sim.config import load_scenario
+    from parking_sim.inputs import check_trust
     from parking_sim.simulation import simulate
 
     if not (folder / JOURNAL).is_file():
         raise InputError(f"{folder}: no run that did not end; nothing to resume")
+    check_trust(folder, trust)
     loaded = load_scenario(folder / "scenario.yaml")
     with _progress_bar(folder.name, quiet) as progress:
         summary = simulate(loaded, folder, progress=progress, resumed=True)
@@ -203,6 +209,7 @@ def resume(
 def rerun_(
     folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
     out: Annotated[Path | None, typer.Option(help="Folder for the new record; default: none is kept.")] = None,
+    trust: Trust = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but differences and errors.")] = False,
 ) -> None:
     """Run a record's scenario again, from the files in its folder, and compare the two records table by table."""
@@ -213,7 +220,7 @@ def rerun_(
 
         check_folder(out, force=False)
     with _progress_bar(folder.name, quiet) as progress:
-        found = rerun(folder, out, progress)
+        found = rerun(folder, out, progress, trust=trust)
     for line in (*found.notes, *found.differences):
         print(line)
     if not found.differences and not quiet:

@@ -90,6 +90,12 @@ class ControlConfig(_Options):
         " two",
     )
     window_step: int = Field(default=2, ge=1, le=10_000, description="the window changes in steps of this many moves")
+    planner_limit_s: float = Field(
+        default=60.0,
+        gt=0,
+        le=DAY_S,
+        description="wall-clock seconds that a planner of your own has for one answer; built-in ones have no limit",
+    )
     score_keep: float = Field(
         default=0.6,
         ge=0,

@@ -18,9 +18,10 @@ from uuid import uuid4
 import yaml
 
 from analysis.run_files import INPUTS
-from parking_sim.config import NET_SUFFIXES, Scenario
+from parking_sim.config import NET_SUFFIXES, Scenario, read_yaml
 from sumo_nets.errors import InputError
 from sumo_nets.read import net_files
+from sumo_nets.wording import cut, shown
 
 SCENARIO_FILE = "scenario.yaml"
 
@@ -72,6 +73,25 @@ def read_inputs(scenario: Scenario) -> Inputs:
         data["workload"][key] = keep(scenario.base_dir / data["workload"][key])
     shipped = {} if is_own else {path.name: _content(path) for path in files}
     return Inputs(data, own, {name: hashlib.sha256(text).hexdigest() for name, text in {**shipped, **own}.items()})
+
+
+def check_trust(folder: Path, trust: bool) -> None:
+    """Make sure that a record from elsewhere runs no code of its own unasked.
+
+    Args:
+        folder: of a run, whose scenario is to be run again.
+        trust: the user knows the planner's file in it.
+
+    Raises:
+        InputError: the scenario names a planner's file, and ``trust`` is not set.
+    """
+    path = folder / SCENARIO_FILE
+    planner = str(read_yaml(path).get("planner", ""))
+    if ":" in planner and not trust:
+        file = planner.rpartition(":")[0]
+        raise InputError(
+            f"{path}: planner: {shown(planner)} is code that would run; read {cut(file)}, then give --trust"
+        )
 
 
 def write_inputs(inputs: Inputs, folder: Path, shared: Path | None = None) -> None:

@@ -13,7 +13,7 @@ from analysis.run_files import check_ended
 from analysis.tables import load_run
 from analysis.variants import flatten
 from parking_sim.config import Scenario, load_scenario
-from parking_sim.inputs import SCENARIO_FILE, read_inputs
+from parking_sim.inputs import SCENARIO_FILE, check_trust, read_inputs
 from parking_sim.simulation import RunProgress, simulate
 from parking_sim.versions import code_version, versions
 from sumo_nets.errors import InputError
@@ -35,21 +35,30 @@ class Rerun:
     differences: tuple[str, ...]
 
 
-def rerun(folder: Path, out: Path | None = None, progress: Callable[[RunProgress], None] | None = None) -> Rerun:
+def rerun(
+    folder: Path,
+    out: Path | None = None,
+    progress: Callable[[RunProgress], None] | None = None,
+    *,
+    trust: bool = False,
+) -> Rerun:
     """Run the scenario of a record again and compare the two records.
 
     Args:
         folder: folder of the record; it is left as it is.
         out: folder for the new record; None keeps none.
         progress: called a few times a second.
+        trust: run a planner's file that the record holds.
 
     Returns:
         What is different.
 
     Raises:
-        InputError: there is no record that ended by itself, or its scenario can't be run.
+        InputError: there is no record that ended by itself, its scenario can't be run, or it names a planner's file and
+            ``trust`` is not set.
     """
     meta = _recorded(folder)
+    check_trust(folder, trust)
     scenario = load_scenario(folder / SCENARIO_FILE)
     notes = [*_changed_versions(meta), *_changed_inputs(meta, scenario)]
     with ExitStack() as stack:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -19,6 +19,7 @@ from analysis.record import AgvRow, PlanningRow, Recorder
 from controller.events import Event, EventKind
 from controller.faults import REPORTED, FaultReport
 from controller.garage import Task
+from controller.planners.guest import PlannerError
 from controller.planning import PlanningCall
 from controller.types import NO_AGV, Advance, AgvMode, AgvNumber, Request, whole_steps
 from parking_sim.accounts import Accounts
@@ -119,8 +120,8 @@ def simulate(
         How it ended. Ctrl-C ends the run early with the record so far.
 
     Raises:
-        InputError: the scenario does not fit its garage, or a file of yours hides a package of the program; nothing
-            has been written then. Or a resumed run differs from its journal.
+        InputError: the scenario does not fit its garage, a file of yours hides a package of the program, or a planner
+            of your own fails; nothing is left in the folder then. Or a resumed run differs from its journal.
         PlantError: SUMO failed.
 
     Example:
@@ -130,8 +131,13 @@ def simulate(
         'time_limit'
     """
     run = prepare(scenario, None if out is None else Path(out), progress, resumed, shared)
-    with run.started(gui, fcd):
-        status = run.loop()
+    try:
+        with run.started(gui, fcd):
+            status = run.loop()
+    except PlannerError:
+        if not resumed:
+            run.discard()
+        raise
     return run.finish(status)
 
 
@@ -435,6 +441,15 @@ class RunLoop:
         self._progress(RunProgress(self.now_s, done, self.world.demand.total, self._accounts.total_s))
 
     # --- the end --------------------------------------------------------------------------------------------------
+
+    def discard(self) -> None:
+        """Remove what the run has written so far, and its folder if nothing else is in it."""
+        if self.out is None or self.journal is None:
+            return
+        self.journal.close(finished=False)
+        clear_run(self.out)
+        with suppress(OSError):
+            self.out.rmdir()
 
     def finish(self, status: Ended) -> Summary:
         """Write the record and work out the metrics."""

@@ -26,6 +26,9 @@ FARTHEST_M = 1e7
 _SAME_POINT_M = 1e-6
 
 Attributes = dict[str, str]
+
+#: Attributes by which SUMO's elements (detectors, edge data, timed events, inclusions) name files.
+_FILES = ("file", "output", "dest", "href")
 _Row = TypeVar("_Row")
 
 
@@ -271,8 +274,12 @@ def _line(attributes: Attributes) -> FloatArray:
 
 
 def _parse(path: Path, start: Callable[[str, Attributes], None]) -> None:
+    def checked(tag: str, attributes: Attributes) -> None:
+        _refuse_files(tag, attributes)
+        start(tag, attributes)
+
     parser = xml.parsers.expat.ParserCreate()
-    parser.StartElementHandler = start
+    parser.StartElementHandler = checked
     try:
         for chunk in _chunks(path):
             parser.Parse(chunk)
@@ -286,6 +293,13 @@ def _parse(path: Path, start: Callable[[str, Attributes], None]) -> None:
         raise NetError(f"{path}: line {parser.CurrentLineNumber}: attribute {err} is missing") from None
     except ValueError as err:
         raise NetError(f"{path}: line {parser.CurrentLineNumber}: {err}") from None
+
+
+def _refuse_files(tag: str, attributes: Attributes) -> None:
+    """No net of another's may have SUMO write over a file: detectors and edge data are not for a garage's net."""
+    for key in _FILES:
+        if key in attributes:
+            raise ValueError(f"{tag}: {key} names a file for SUMO to read or write; take this element out")
 
 
 def _chunks(path: Path) -> Iterator[bytes]:

@@ -22,8 +22,13 @@ BELOW = {
 #: All that ``demand`` takes from ``controller``: the words of both.
 WORDS = {"controller.types"}
 #: Modules of the controller that read files (machine code of kernels, planners of users), or that stop after some
-#: seconds, as the paper's conflict-based search does.
-EXEMPT = {"controller.kernel", "controller.planners.table", "controller.genetic.lattice_cbs"}
+#: seconds, as the paper's conflict-based search and planners of users do.
+EXEMPT = {
+    "controller.kernel",
+    "controller.planners.table",
+    "controller.planners.guest",
+    "controller.genetic.lattice_cbs",
+}
 
 
 def imports() -> Iterator[tuple[str, str]]:

@@ -405,3 +405,23 @@ def test_a_mutant_is_refused_in_one_line_or_runs(tmp_path: Path) -> None:
             assert metrics["tasks_done"] >= 3, change
             assert metrics["footprint_overlaps"] == 0, change
     assert ran == RUNS
+
+
+WRITERS = (
+    'edgeData id="d" file',
+    "include href",
+    'timedEvent type="SaveTLSStates" dest',
+    'e1Detector id="e" lane="c2_0-c3_0_0" pos="1" file',
+    'calibrator id="c" output',
+)
+
+
+@pytest.mark.parametrize("element", WRITERS)
+@pytest.mark.parametrize(("which", "end"), [("net", "</net>"), ("add", "</additional>")])
+def test_a_net_that_has_sumo_write_a_file_is_refused(tmp_path, which, end, element):
+    """SUMO takes such elements from either file, and would write over whatever is named."""
+    told = tmp_path / "told.xml"
+    path = write_net(tmp_path, (which, end, f'<{element}="{told}"/>{end}'))
+    with pytest.raises(NetError, match=r"names a file for SUMO to read or write"):
+        check_net(read_net(path))
+    assert not told.exists()

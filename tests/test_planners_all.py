@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from whole_runs import run
 
-from controller.flags import PlannerFlags, flags_of
+from controller.flags import Flags, flags_of
 from controller.planners.contract import check_planner, random_problem, violations
 from controller.planners.table import ENTRY_POINTS, PLANNERS, load_planner
 from controller.planners.whca import Whca
@@ -155,10 +155,10 @@ def careless(problem):
 @pytest.mark.parametrize(
     ("function", "reason"),
     [
-        ("jump", "which are not neighbours"),
+        ("jump", "which no lane joins"),
         ("nothing", "returns NoneType instead of PlanResult"),
         ("crash", "raises ZeroDivisionError"),
-        ("careless", "neither a path nor named as failed"),
+        ("careless", "assignment destination is read-only (wrong.py, line 12)"),
     ],
 )
 def test_what_a_planner_violates_is_told(tmp_path, capsys, function, reason):
@@ -253,14 +253,14 @@ def test_a_path_that_ends_with_the_move_is_whole_for_planners_of_one_move(flagge
 def test_every_flag_arrives_and_has_its_line_in_the_page(flagged):
     page = FilePath(__file__).parents[1].joinpath("docs", "own_planner.md").read_text(encoding="utf-8")
     problem = random_problem(0)
-    for flag in fields(PlannerFlags):
+    for flag in fields(Flags):
         assert f"`{flag.name}`" in page
     for name, flags in {
-        "whca": PlannerFlags(keeps=True, window=Whca.window),
-        "token": PlannerFlags(complete=True, rests=True, improves=True),
-        "timid": PlannerFlags(meets_conflicts=True, window=WindowRange(4, 3, 6)),
-        "stay": PlannerFlags(),
-        "move": PlannerFlags(one_move=True),
+        "whca": Flags(keeps=True, window=Whca.window),
+        "token": Flags(complete=True, rests=True, improves=True),
+        "timid": Flags(meets_conflicts=True, window=WindowRange(4, 3, 6)),
+        "stay": Flags(),
+        "move": Flags(one_move=True),
     }.items():
         assert flags_of(load_planner(f"{flagged}:{name}", problem.graph, problem.motion, {})) == flags
 

@@ -180,6 +180,31 @@ def test_an_earlier_runs_files_go_with_it(tmp_path: Path, monkeypatch: pytest.Mo
     assert {p.name for p in Path("out/inputs").iterdir()} == {*net, "day.yaml"}
 
 
+def test_a_planner_in_a_folder_is_run_only_when_it_is_trusted(tmp_path, capfd) -> None:
+    """The file tells whether it was run; a record from elsewhere must not run it unasked, killed or whole."""
+    told = tmp_path / "told"
+    (tmp_path / "own.py").write_text(f"open({str(told)!r}, 'w').close()\n{PLANNER.read_text()}")
+    keys = f"{{garage: map1, agvs: 1, plant: discrete, duration_s: 60, planner: {tmp_path}/own.py:plan}}"
+    (tmp_path / "s.yaml").write_text(keys)
+    folder = tmp_path / "out"
+    assert command("run", tmp_path / "s.yaml", "--out", folder, *BARE) == 0
+    told.unlink()
+    capfd.readouterr()
+    assert command("rerun", folder) == 2
+    says = "scenario.yaml: planner: 'inputs/own.py:plan' is code that would run; read inputs/own.py, then give --trust"
+    assert capfd.readouterr().err == f"error: {folder}/{says}\n"
+    assert not told.exists()
+    assert command("rerun", folder, "--trust", "-q") == 0
+    assert told.exists()
+    told.unlink()
+    (folder / "run.json").unlink()
+    (folder / "journal.jsonl").write_text("")
+    assert command("resume", folder, "-q") == 2
+    assert not told.exists()
+    assert command("resume", folder, "-q", "--trust", "--no-report") == 0
+    assert told.exists()
+
+
 def test_runs_of_a_sweep_share_their_files(tmp_path: Path) -> None:
     make_files(tmp_path / "here")
     (tmp_path / "sweep.yaml").write_text("base: here/profile.yaml\ngrid: {agvs: [1, 2]}\n")

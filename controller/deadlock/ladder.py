@@ -49,6 +49,7 @@ from controller.search.reservations import ReservationTable
 from controller.search.sipp import PathSearch
 from controller.search.space import Space
 from controller.types import FOREVER, NO_AGV, AgvNumber, Path, PlanAgent, PlanningProblem, Status
+from controller.visits import Barred
 from sumo_nets.numbering import NO_VERTEX, Numbered
 
 #: After each of the first climbs in vain, LaCAM* may propose this many times more configurations.
@@ -302,7 +303,7 @@ class Ladder:
             outside = self._outside(group, step, problem)
             whole = replace(problem, fixed=tuple(outside), window_steps=FOREVER)
             resolution, blockers = self._stages(deadlock, [agents[n] for n in group], whole)
-            if resolution and self._take(deadlock, resolution, outside, step):
+            if resolution and self._take(deadlock, resolution, whole, step):
                 return
             joining = sorted((blockers & agents.keys()) - members)
             joining = [n for n in joining if agents[n].goal == agents[n].vertex] or joining
@@ -313,7 +314,7 @@ class Ladder:
                 together, proven = self._together(deadlock, [agents[n] for n in group], whole)
                 if together is None and (proven or deadlock.failures >= _RAISES):
                     together = self._exchange(deadlock, [agents[n] for n in group], whole)
-                if not (together and self._take(deadlock, together, outside, step)):
+                if not (together and self._take(deadlock, together, whole, step)):
                     deadlock.hopeless = situation if proven else None
                     deadlock.in_vain.clear()
                     self._give_up(deadlock, step)
@@ -460,10 +461,11 @@ class Ladder:
             self._table.add(path)
         return paths, None
 
-    def _take(self, deadlock: Deadlock, resolution: Resolution, outside: Sequence[Path], step: int) -> bool:
+    def _take(self, deadlock: Deadlock, resolution: Resolution, problem: PlanningProblem, step: int) -> bool:
         ex = self._executor
-        keep = {p.agv: p for p in outside if p.agv < len(ex.agvs)}
-        refusal = ex.accept({**keep, **resolution.paths})
+        keep = {p.agv: p for p in problem.fixed if p.agv < len(ex.agvs)}
+        goals = {a.agv: resolution.homes.get(a.agv, a.goal) for a in problem.agents if a.agv in resolution.paths}
+        refusal = ex.accept({**keep, **resolution.paths}, Barred(problem.blocked, goals))
         if refusal:
             self._failed(deadlock, resolution.stage, refusal.reason)
             return False

@@ -15,7 +15,7 @@ import numpy as np
 
 from controller.conflicts import validate
 from controller.flags import flags_of
-from controller.planners.table import PlannerError
+from controller.planners.guest import PlannerError
 from controller.types import FOREVER, AgvNumber, Motion, Path, PlanAgent, Planner, PlanningProblem, Status, make_motion
 from sumo_nets.graph import Graph, make_graph
 from sumo_nets.numbering import NO_EDGE, Vertex

@@ -5,18 +5,15 @@ from __future__ import annotations
 import importlib
 import importlib.util
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from importlib.metadata import entry_points
 from pathlib import Path
-from traceback import extract_tb
 from typing import Any
 
-from controller.flags import FLAGS, flags_of
-from controller.types import Motion, Planner, PlanningProblem, PlanResult
-from controller.types import Path as AgvPath
-from sumo_nets.errors import InputError
+from controller.planners.guest import LIMIT_S, Guest, PlannerError, guarded
+from controller.types import Motion, Planner
 from sumo_nets.graph import Graph
-from sumo_nets.wording import one_of
+from sumo_nets.wording import cut, one_of, shown
 
 #: Installed packages offer planners of their own as entry points of this group.
 ENTRY_POINTS = "parking_sim.planners"
@@ -39,60 +36,9 @@ PLANNERS: dict[str, tuple[str, str, str]] = {
 }
 
 
-class PlannerError(InputError):
-    """A planner of a user's own fails. The message is one line: the planner, its error and where it was raised."""
-
-
-@dataclass(frozen=True, slots=True)
-class OwnPlanner:
-    """A planner of a user's own; what it does wrong is told as ``PlannerError``.
-
-    Attributes:
-        name: as it was asked for.
-        function: from ``PlanningProblem`` to ``PlanResult``.
-    """
-
-    name: str
-    function: Planner
-
-    def __post_init__(self) -> None:
-        """Check its flags.
-
-        Raises:
-            ValueError: see ``PlannerFlags``.
-        """
-        try:
-            flags_of(self.function)
-        except ValueError as error:
-            raise ValueError(f"{self.name!r}: {error}") from None
-
-    def __getattr__(self, name: str) -> object:
-        """Its flags are those of the function."""
-        if name in FLAGS:
-            return getattr(self.function, name)
-        raise AttributeError(name)
-
-    def __call__(self, problem: PlanningProblem) -> PlanResult:
-        """Have it plan.
-
-        Raises:
-            PlannerError: it raises, or what it returns is no plan.
-        """
-        try:
-            result: object = self.function(problem)
-        except Exception as error:
-            where = extract_tb(error.__traceback__)[-1]
-            place = f"{Path(where.filename).name}, line {where.lineno}"
-            raise PlannerError(f"{self.name} raises {type(error).__name__}: {error} ({place})") from error
-        if not isinstance(result, PlanResult):
-            raise PlannerError(f"{self.name} returns {type(result).__name__} instead of PlanResult")
-        for agv, path in result.paths.items():
-            if not isinstance(path, AgvPath):
-                raise PlannerError(f"{self.name} returns {type(path).__name__} instead of Path for AGV {agv}")
-        return result
-
-
-def load_planner(name: str, graph: Graph, motion: Motion, options: Mapping[str, object]) -> Planner:
+def load_planner(
+    name: str, graph: Graph, motion: Motion, options: Mapping[str, object], limit_s: float = LIMIT_S
+) -> Planner:
     """Make a planner for a garage.
 
     Args:
@@ -100,18 +46,20 @@ def load_planner(name: str, graph: Graph, motion: Motion, options: Mapping[str, 
             to ``PlanResult``), or the name under which an installed package offers such a function.
         graph, motion: the garage and how long moves take.
         options: options of the planner by name.
+        limit_s: wall-clock seconds that a planner of your own has for an answer.
 
     Returns:
-        The planner.
+        The planner; one of your own as a :class:`controller.planners.guest.Guest`.
 
     Raises:
         ValueError: no such planner, file, function or option; the message is one line.
+        PlannerError: the file of a planner of your own takes longer than ``limit_s`` to load.
     """
     if ":" in name:
-        return _own(name)
+        return Guest(name, _own(name, limit_s), graph, motion, limit_s)
     if name not in PLANNERS:
         for entry in entry_points(group=ENTRY_POINTS, name=name):
-            return OwnPlanner(name, entry.load())
+            return Guest(name, guarded(name, entry.load, limit_s), graph, motion, limit_s)
         raise ValueError(f"{name!r}: no such planner; {one_of(PLANNERS)}, or file.py:function")
     module_name, factory, options_name = PLANNERS[name]
     module = importlib.import_module(module_name)
@@ -126,14 +74,15 @@ def _options(name: str, module: Any, options_name: str, options: Mapping[str, ob
             raise ValueError(f"planner_options.{key}: {name} has no such option; {one_of(known, key)}")
         default = known[key].default
         if type(value) is not type(default) and not (type(value) is int and type(default) is float):
-            raise ValueError(f"planner_options.{key}: {value!r}: give a value like {default!r}")
+            raise ValueError(f"planner_options.{key}: {shown(value)}: give a value like {default!r}")
         least = known[key].metadata.get("least", 0)
         if isinstance(value, int | float) and value < least:
-            raise ValueError(f"planner_options.{key}: {value!r}: give {least} or more")
+            raise ValueError(f"planner_options.{key}: {shown(value)}: give {least} or more")
     return getattr(module, options_name)(**options) if options_name else None
 
 
-def _own(name: str) -> Planner:
+def _own(name: str, limit_s: float) -> Planner:
+    """The function of a user's file."""
     path, _, function = name.rpartition(":")
     if not Path(path).is_file():
         raise ValueError(f"{name!r}: no file {path}")
@@ -141,13 +90,17 @@ def _own(name: str) -> Planner:
     if spec is None or spec.loader is None:
         raise ValueError(f"{name!r}: {path} is not a Python file")
     module = importlib.util.module_from_spec(spec)
+    load = spec.loader.exec_module
     try:
-        spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
-        raise ValueError(f"{name!r}: {path} can't be imported: {type(error).__name__}: {error}") from None
-    if not callable(getattr(module, function, None)):
-        functions = [
-            key for key, value in vars(module).items() if callable(value) and value.__module__ == module.__name__
-        ]
+        guarded(name, lambda: load(module), limit_s)
+    except PlannerError as error:
+        if error.__cause__ is None:
+            raise
+        why = f"{type(error.__cause__).__name__}: {cut(str(error.__cause__), 200)}"
+        raise ValueError(f"{name!r}: {path} can't be imported: {why}") from None
+    found = vars(module).get(function)
+    if not callable(found):
+        functions = [key for key, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__]
         raise ValueError(f"{name!r}: {path} has no function {function!r}; {one_of(functions)}")
-    return OwnPlanner(name, getattr(module, function))
+    made: Planner = found
+    return made
