@@ -1,13 +1,19 @@
-"""All garages under mixed demand with every fault on at once: nothing may meet, lock up or get lost.
+"""All planners in all garages with every fault on at once, piece by piece: nothing may meet, lock up or get lost.
 
-    python benchmarks/soak.py [--full] [--steps 10e6] [--workers 1] [--planner token,whca] [--csv FILE]
+    python benchmarks/soak.py --plant discrete --steps 1e7
+    python benchmarks/soak.py --plant sumo --steps 1e6 --workers 2
+    python benchmarks/soak.py --sum                          what the ledger says
+    python benchmarks/soak.py --plant sumo --piece 17        one piece again
 
-The full form goes on with new seeds, and the next planner, until the runs with faults have made ``--steps`` AGV-steps;
-the small form makes one case per garage. The cases of the first seed are also run without faults on the same demand.
-Rows are written as runs end. Exit code 1 if anything was not good.
+Each call adds pieces to the ledger, ``benchmarks/results/soak_ledger.csv``, until they have made ``--steps``
+AGV-steps; it goes on with the number after the last one. A piece's number draws everything: a shipped garage or a
+random one of ``garages.py``, its fleet, the planner, the demand, rates of all faults far above those of a real garage,
+and a script of an operator's commands (stops of everything and of zones, places closed and opened again). In discrete
+ticks a watcher looks at each tick that no AGVs share or exchange places; in SUMO the footprint check and SUMO's
+collisions do. In both a watcher looks at each grant that it leads through no parked car. Exit code 1 if anything was
+found.
 
-Rates are far above a real garage's, so that each fault meets each other; an AGV is out of order for about a tenth of
-its time. The times to recover are those from ``fault_start`` to ``fault_end`` (a breakdown: until it is repaired).
+``run`` makes a single hour with faults at given rates, for the table in docs/faults.md.
 """
 
 from __future__ import annotations
@@ -16,18 +22,27 @@ import argparse
 import csv
 import json
 import multiprocessing
+import random
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import nullcontext
-from itertools import count, islice
+from contextlib import contextmanager
+from datetime import date
+from importlib.metadata import version
+from itertools import count
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
-import numpy as np
+import garages
+import pandas as pd
 
 from analysis.tables import load_run
+from parking_sim.versions import code_version
+from sumo_nets.graph import Graph
+from sumo_nets.numbering import Places
+
+LEDGER = Path(__file__).parent / "results" / "soak_ledger.csv"
 
 NOISE = "travel_noise"
 FAULTS: Mapping[str, Any] = {
@@ -58,15 +73,6 @@ def workload(kind: str, garage: str, minutes: float) -> dict[str, Any]:
     return options
 
 
-#: In the short runs of the small form faults are so many times as frequent.
-SMALL_RATE = 6.0
-#: Garage, AGVs, kind of demand, minutes of demand.
-SMALL = (("map1", 4, "poisson", 20.0), ("map2", 8, "bursts", 15.0))
-FULL = tuple(
-    (garage, agvs, kind, 240.0)
-    for garage, agvs in (("map3", 32), ("map2", 16), ("map3", 16), ("map2", 8), ("map3", 8), ("map1", 8))
-    for kind in ("poisson", "bursts")
-)
 Case = tuple[str, int, str, float]
 MUST_BE_ZERO = ("sumo_collisions", "footprint_overlaps", "deadlocks_unresolved")
 
@@ -127,89 +133,249 @@ def is_good(row: Mapping[str, Any]) -> bool:
     return done and not row["lost"] and not any(row[key] for key in MUST_BE_ZERO)
 
 
-def cases(full: bool) -> Iterator[tuple[Case, int]]:
-    """Cases with their seeds; endless in the full form."""
-    for seed in count() if full else range(1):
-        for case in FULL if full else SMALL:
-            yield case, seed
+# --- pieces -----------------------------------------------------------------------------------------------------------
+
+#: Planners with how often they are drawn. Those of complete searches get small fleets.
+PLANNERS = {
+    "token": 6, "whca": 3, "pbs": 2, "pibt": 2, "lacam": 1, "online_mapf": 1, "astar": 1, "dstar_lite": 1, "cbs": 1,
+    "binary_tree": 1,
+}  # fmt: skip
+SMALL_FLEETS = {"cbs": 3, "lacam": 8, "pbs": 16, "binary_tree": 4, "astar": 6, "dstar_lite": 6, "online_mapf": 8}
+#: Shipped garages with their greatest fleets here, and how many random ones are drawn beside them.
+SHIPPED = {"map1": 8, "map2": 32, "map3": 64}
+RANDOM_SHARE = 0.35
+#: What an operator's script does.
+KINDS = ("all_stop", "zone_stop", "blocked", "bay", "charger", "breakdown", "battery", "stop", "slow")
+#: Simulated seconds of demand, and those after which a piece that has not ended has failed.
+DEMAND_S, GIVE_UP_S = {"discrete": 7200.0, "sumo": 3600.0}, {"discrete": 60_000.0, "sumo": 80_000.0}
+COLUMNS = (
+    "plant", "piece", "garage", "agvs", "planner", "demand", "rate", "script", "agv_steps", "tasks_done", "status",
+    "finds", "version", "code", "date",
+)  # fmt: skip
 
 
-def plan_runs(full: bool, steps: float, planners: Sequence[str]) -> Iterator[tuple[Case, int, str, float]]:
-    """Case, seed, planner and rate of faults of each run, until enough AGV-steps are planned with faults."""
-    planned = 0.0
-    for case, seed in cases(full):
-        if full and planned >= steps:
-            return
-        planned += case[1] * case[3] * 120.0
-        planner = planners[seed % len(planners)]
-        yield case, seed, planner, 1.0 if full else SMALL_RATE
-        if seed == 0:
-            yield case, seed, planner, 0.0
+def piece(plant: str, number: int) -> dict[str, Any]:
+    """Keys of the scenario with a number."""
+    rng = random.Random(f"{plant} {number}")
+    planner = rng.choices(list(PLANNERS), list(PLANNERS.values()))[0]
+    if rng.random() < RANDOM_SHARE:
+        drawn = rng.randrange(10**6)
+        garage, agvs = f"random {drawn}", garages.draw(drawn).keys["agvs"]
+        per_h, share = 40.0, rng.choice((0.0, 0.5, 1.0))
+    else:
+        garage = rng.choice(list(SHIPPED))
+        agvs = rng.randint(2, min(SHIPPED[garage], SMALL_FLEETS.get(planner, 99)))
+        per_h, share = 6.0 * agvs, rng.choice((0.2, 0.5, 0.9))
+    minutes = DEMAND_S[plant] / 60
+    demand: dict[str, Any] = {"kind": rng.choice(("poisson", "bursts")), "duration_min": minutes}
+    demand |= {"arrivals_per_h": round(per_h * rng.uniform(0.5, 1.5), 1), "dwell_median_min": rng.choice((5, 20, 60))}
+    demand["initial_occupancy"] = share
+    if demand["kind"] == "bursts":
+        cars = max(1, int(per_h / 4))
+        burst = [{"at_min": minutes / 4, "cars": cars, "spread_min": 5}]
+        demand["bursts"] = [*burst, {"at_min": minutes / 2, "cars": cars, "spread_min": 5, "wish": "retrieve"}]
+    return {"garage": garage, "agvs": agvs, "planner": planner, "seed": number % 2**31, "workload": demand,
+            "rate": rng.choice((0.3, 1.0, 3.0)), "script": rng.randint(0, 12)}  # fmt: skip
 
 
-def soak(runs: Iterator[tuple[Case, int, str, float]], workers: int, file: TextIO | None) -> list[dict[str, Any]]:
-    """Make the runs; prints and writes a line for each as it ends."""
+def commands(
+    names: Mapping[str, Sequence[str]], agvs: int, number: int, most: int, until_s: float
+) -> list[dict[str, Any]]:
+    """A script of an operator who stops, closes and opens at random, and of AGVs that break down meanwhile.
+
+    Args:
+        names: places by role, and all of them as "".
+        agvs: size of the fleet.
+        number: draws the script.
+        most: commands.
+        until_s: they come before this second.
+    """
+    rng = random.Random(f"script {number}")
+    script = []
+    for _ in range(most):
+        kind = rng.choice(KINDS)
+        row: dict[str, Any] = {"at_s": round(rng.uniform(0, until_s), 1), "kind": kind}
+        row["for_s"] = rng.choice((1.0, 30.0, 400.0))
+        places = names.get(kind if kind in ("bay", "charger") else "", ())
+        if kind in ("bay", "charger", "blocked", "zone_stop"):
+            if not places:
+                continue
+            row["place"] = rng.choice(places)
+        elif kind != "all_stop":
+            row["agv"] = rng.randrange(agvs)
+        script.append(row)
+    return script
+
+
+def scenario_keys(plant: str, number: int) -> dict[str, Any]:
+    """A piece as a scenario: its garage built, its faults and its script written out."""
+    from sumo_nets.read import read_net
+
+    drawn = piece(plant, number)
+    keys = {key: drawn[key] for key in ("garage", "agvs", "planner", "seed", "workload")}
+    if keys["garage"].startswith("random "):
+        keys["garage"] = str(garages.net_of(int(keys["garage"].split()[1])))
+    graph = read_net(keys["garage"]).graph
+    names = {"bay": _named(graph, graph.bays), "charger": _named(graph, graph.chargers), "": [*graph.names]}
+    script = commands(names, drawn["agvs"], number, drawn["script"], DEMAND_S[plant])
+    keys["faults"] = {**faults(drawn["rate"]), "script": script}
+    keys |= {"plant": plant, "max_time_s": GIVE_UP_S[plant], "record": {"sample_s": 600.0, "plans": False}}
+    return keys
+
+
+def _named(graph: Graph, places: Places) -> list[str]:
+    return [graph.names[v] for v in places]
+
+
+@contextmanager
+def watched_ticks() -> Iterator[list[str]]:
+    """Within, each tick of a discrete plant is looked at; what is wrong comes into the list, a line each."""
+    from parking_sim.plants.discrete import DiscretePlant
+
+    finds: list[str] = []
+    step = DiscretePlant.step
+
+    def watched(plant: DiscretePlant) -> None:
+        before = list(plant.at)
+        step(plant)
+        if len(set(plant.at)) < len(plant.at):
+            finds.append(f"{plant.time_s:g} s: two AGVs on one place")
+        moved = {(u, v) for u, v in zip(before, plant.at, strict=True) if u != v}
+        if any((v, u) in moved for u, v in moved):
+            finds.append(f"{plant.time_s:g} s: two AGVs pass through each other")
+
+    DiscretePlant.step = watched  # type: ignore[assignment, method-assign]
+    try:
+        yield finds
+    finally:
+        DiscretePlant.step = step  # type: ignore[method-assign]
+
+
+@contextmanager
+def watched_cars() -> Iterator[list[str]]:
+    """Within, each grant of a vertex with a parked car is looked at: the AGV has to be the one that works there."""
+    from controller.acs import Acs
+    from controller.types import Advance
+
+    finds: list[str] = []
+    step = Acs.step
+
+    def watched(acs: Acs, now: int, states: Any) -> Any:
+        given = step(acs, now, states)
+        for command in given:
+            if isinstance(command, Advance):
+                for v in command.vertices:
+                    task = acs.agvs[command.agv].task
+                    if v in parked(acs) and (task is None or v not in (task.origin, task.destination)):
+                        finds.append(f"step {now}: AGV {command.agv} drives through the car in {acs.graph.names[v]}")
+        return given
+
+    def parked(acs: Acs) -> set[int]:
+        return set(acs.garage.parked.values())
+
+    Acs.step = watched  # type: ignore[assignment, method-assign]
+    try:
+        yield finds
+    finally:
+        Acs.step = step  # type: ignore[method-assign]
+
+
+def make(plant: str, number: int) -> dict[str, Any]:
+    """Make a piece: a row of the ledger."""
+    from parking_sim.config import check_scenario
+    from parking_sim.errors import RunFailedError
+    from parking_sim.simulation import simulate
+    from sumo_nets.errors import InputError
+
+    drawn = piece(plant, number)
+    row: dict[str, Any] = {"plant": plant, "piece": number, **{k: drawn[k] for k in ("garage", "agvs", "planner")}}
+    row |= {"demand": drawn["workload"]["kind"], "rate": drawn["rate"], "script": drawn["script"], "agv_steps": 0}
+    row |= {"tasks_done": 0, "finds": ""}
+    with watched_ticks() as met, watched_cars() as through:
+        try:
+            summary = simulate(check_scenario(scenario_keys(plant, number), f"piece {number}", Path()))
+        except InputError as refusal:  # random garages that can't work, each with its reason
+            return _stamped({**row, "status": f"refused: {str(refusal).split(': ', 1)[-1][:100]}"})
+        except RunFailedError as error:
+            return _stamped({**row, "status": "failed", "finds": str(error)})
+        except Exception as error:
+            return _stamped({**row, "status": "traceback", "finds": f"{type(error).__name__}: {error}"})
+    m = summary.metrics
+    row |= {"agv_steps": round(drawn["agvs"] * m["simulated_s"] / (1.0 if plant == "discrete" else 0.5))}
+    finds = [*met[:3], *through[:3], *(f"{m[key]} {key}" for key in MUST_BE_ZERO if m[key])]
+    finds += [key for key in ("requests_conserved", "cars_conserved") if not m[key]]
+    if summary.status != "finished":
+        finds += [f"{summary.status}: {m['requests_waiting']} requests are left", *summary.held]
+    return _stamped({**row, "tasks_done": m["tasks_done"], "status": summary.status, "finds": "; ".join(finds)})
+
+
+def _stamped(row: dict[str, Any]) -> dict[str, Any]:
+    return {**row, "version": version("parking-sim"), "code": code_version(), "date": date.today().isoformat()}
+
+
+# --- the ledger -------------------------------------------------------------------------------------------------------
+
+
+def read_ledger(path: Path) -> pd.DataFrame:
+    """All pieces so far."""
+    return pd.read_csv(path, keep_default_na=False) if path.is_file() else pd.DataFrame(columns=list(COLUMNS))
+
+
+def add_pieces(plant: str, steps: float, workers: int, path: Path) -> list[dict[str, Any]]:
+    """Make pieces with so many AGV-steps, from the number after the ledger's last one; write each as it ends."""
+    ledger = read_ledger(path)
+    numbers = count(int(ledger[ledger.plant == plant].piece.max()) + 1 if (ledger.plant == plant).any() else 0)
     rows: list[dict[str, Any]] = []
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), max_tasks_per_child=40) as pool:
         running: set[Future[dict[str, Any]]] = set()
-        while True:
-            running |= {pool.submit(run, *chosen) for chosen in islice(runs, workers - len(running))}
-            if not running:
-                return rows
+        while running or sum(row["agv_steps"] for row in rows) < steps:
+            while len(running) < workers and sum(row["agv_steps"] for row in rows) < steps:
+                running.add(pool.submit(make, plant, next(numbers)))
             over, running = wait(running, return_when=FIRST_COMPLETED)
             for row in (future.result() for future in over):
                 rows.append(row)
-                shown = " ".join(f"{key}={_short(value)}" for key, value in row.items() if key != "faults")
-                print("ok " if is_good(row) else "BAD", shown, flush=True)
-                if file:
-                    writer = csv.DictWriter(file, list(row))
-                    if len(rows) == 1:
-                        writer.writeheader()
-                    writer.writerow({**row, "faults": json.dumps(row["faults"])})
-                    file.flush()
+                _append(path, row)
+                print("FIND" if row["finds"] else "ok", *(row[key] for key in COLUMNS[:-3]), flush=True)
+    return rows
 
 
-def _short(value: object) -> object:
-    return f"{value:.4g}" if isinstance(value, float) else value
+def _append(path: Path, row: Mapping[str, Any]) -> None:
+    new = not path.is_file()
+    with path.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        if new:
+            writer.writeheader()
+        writer.writerow(row)
 
 
-def print_tables(rows: list[dict[str, Any]]) -> None:
-    """Faults by kind with their times to recover, and what was kept of the throughput."""
-    by_kind: dict[str, list[float]] = {}
-    for row in rows:
-        for kind, seconds in row["faults"].items():
-            by_kind.setdefault(kind, []).extend(seconds)
-    print("\n| fault | times | recovery p50 (s) | p95 (s) |\n|---|---|---|---|")
-    for kind, seconds in sorted(by_kind.items()):
-        p50, p95 = np.quantile(seconds, (0.5, 0.95))
-        print(f"| {kind} | {len(seconds)} | {p50:.1f} | {p95:.1f} |")
-    calm = {(r["garage"], r["agvs"], r["demand"], r["seed"]): r for r in rows if not r["faulty"]}
-    print("\n| garage | AGVs | demand | planner | tasks/h | without faults | kept |\n|---|---|---|---|---|---|---|")
-    for r in rows:
-        pair = calm.get((r["garage"], r["agvs"], r["demand"], r["seed"]))
-        if r["faulty"] and pair:
-            kept = r["tasks_per_h"] / pair["tasks_per_h"]
-            what = f"{r['garage']} | {r['agvs']} | {r['demand']} | {r['planner']}"
-            print(f"| {what} | {r['tasks_per_h']:.1f} | {pair['tasks_per_h']:.1f} | {kept:.0%} |")
-    hard = [r for r in rows if r["faulty"]]
-    sums = ", ".join(f"{sum(r[key] for r in hard)} {key}" for key in (*MUST_BE_ZERO, "lost", "deadlocks_found"))
-    print(f"\nwith faults: {sum(r['agv_steps'] for r in hard):,} AGV-steps in {len(hard)} runs; {sums}")
+def in_sum(ledger: pd.DataFrame) -> pd.DataFrame:
+    """AGV-steps, pieces, refused ones and finds by plant and planner."""
+    ledger = ledger.assign(refused=ledger.status.str.startswith("refused"), found=ledger.finds != "")
+    return ledger.groupby(["plant", "planner"]).agg(
+        pieces=("piece", "size"), refused=("refused", "sum"), agv_steps=("agv_steps", "sum"),
+        tasks=("tasks_done", "sum"), finds=("found", "sum"),
+    )  # fmt: skip
 
 
 def main() -> int:
-    """Run the cases and print the tables; 1 if a run was not good."""
+    """Add pieces, or show one, or the sum."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--full", action="store_true")
-    parser.add_argument("--steps", type=float, default=10e6)
+    parser.add_argument("--plant", choices=("discrete", "sumo"), default="discrete")
+    parser.add_argument("--steps", type=float, default=1e6)
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--planner", default="token,whca")
-    parser.add_argument("--csv", type=Path)
+    parser.add_argument("--ledger", type=Path, default=LEDGER)
+    parser.add_argument("--piece", type=int, help="make this piece only, and write nothing")
+    parser.add_argument("--sum", action="store_true", help="show what the ledger says")
     given = parser.parse_args()
-    runs = plan_runs(given.full, given.steps, given.planner.split(","))
-    with given.csv.open("w", newline="", encoding="utf-8") if given.csv else nullcontext() as file:
-        rows = soak(runs, given.workers, file)
-    print_tables(rows)
-    return 0 if all(map(is_good, rows)) else 1
+    if given.sum:
+        table = in_sum(read_ledger(given.ledger))
+        print(table.to_string(), table.groupby("plant").sum().to_string(), sep="\n")
+        return int(table.finds.any())
+    if given.piece is not None:
+        row = make(given.plant, given.piece)
+        print(json.dumps(scenario_keys(given.plant, given.piece), indent=1), row, sep="\n")
+        return int(bool(row["finds"]))
+    return int(any(row["finds"] for row in add_pieces(given.plant, given.steps, given.workers, given.ledger)))
 
 
 if __name__ == "__main__":
