@@ -143,6 +143,8 @@ PLANNERS = {
 SMALL_FLEETS = {"cbs": 3, "lacam": 8, "pbs": 16, "binary_tree": 4, "astar": 6, "dstar_lite": 6, "online_mapf": 8}
 #: Shipped garages with their greatest fleets here, and how many random ones are drawn beside them.
 SHIPPED = {"map1": 8, "map2": 32, "map3": 64}
+#: Cars of the start for each AGV at most, and slots: all of them leave, which takes a small fleet days.
+CARS_PER_AGV, SLOTS = 20, {"map1": 61, "map2": 390, "map3": 900}
 RANDOM_SHARE = 0.35
 #: What an operator's script does.
 KINDS = ("all_stop", "zone_stop", "blocked", "bay", "charger", "breakdown", "battery", "stop", "slow")
@@ -166,6 +168,7 @@ def piece(plant: str, number: int) -> dict[str, Any]:
         garage = rng.choice(list(SHIPPED))
         agvs = rng.randint(2, min(SHIPPED[garage], SMALL_FLEETS.get(planner, 99)))
         per_h, share = 6.0 * agvs, rng.choice((0.2, 0.5, 0.9))
+        share = round(min(share, CARS_PER_AGV * agvs / SLOTS[garage]), 3)
     minutes = DEMAND_S[plant] / 60
     demand: dict[str, Any] = {"kind": rng.choice(("poisson", "bursts")), "duration_min": minutes}
     demand |= {"arrivals_per_h": round(per_h * rng.uniform(0.5, 1.5), 1), "dwell_median_min": rng.choice((5, 20, 60))}
