@@ -21,6 +21,7 @@ from analysis.run_files import check_ended
 from analysis.runs import Runs, load_runs
 from analysis.variants import value_text
 from sumo_nets.errors import InputError
+from sumo_nets.whole_file import whole_file
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,6 +102,8 @@ def select_runs(choice: str) -> Runs:
     except (FileNotFoundError, NotADirectoryError) as error:
         raise InputError(f"{choice}: {error}") from None
     frame = runs.runs
+    if "seed" not in frame:
+        raise InputError(f"{choice}: run.json: scenario: holds no seed by which runs could be paired")
     names = list(dict.fromkeys(frame["variant"]))
     if wanted in names:
         return runs.only(frame["run"][frame["variant"] == wanted].tolist())
@@ -308,8 +311,8 @@ def write_comparison(comparison: Comparison, path: Path) -> Path:
     from analysis.figures import style
 
     try:
-        with style():
-            draw_comparison(comparison).savefig(path, dpi=160)
+        with style(), whole_file(path) as part:
+            draw_comparison(comparison).savefig(part, dpi=160)
     except OSError as error:
         raise InputError(f"--figure: {path}: can't be written: {error.strerror}") from None
     return path

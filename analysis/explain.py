@@ -10,6 +10,7 @@ from analysis.clock import Clock
 from analysis.deadlocks import RecordedDeadlock, deadlocks, draw, story
 from analysis.holds import LongWait, long_waits
 from sumo_nets.errors import InputError
+from sumo_nets.whole_file import write_whole
 
 if TYPE_CHECKING:
     from analysis.tables import Run
@@ -80,6 +81,6 @@ def _write_picture(run: Run, deadlock: RecordedDeadlock, folder: Path, picture: 
     if not svg:
         raise InputError(f"--svg: {folder}: the record says nothing of places")
     try:
-        picture.write_text(svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1), encoding="utf-8")
+        write_whole(picture, svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1))
     except OSError as error:
         raise InputError(f"--svg: {picture}: can't be written: {error.strerror}") from None

@@ -82,6 +82,20 @@ def _whole_lines(path: Path) -> bytes:
     return data[: data.rfind(b"\n") + 1]
 
 
+def _value(line: bytes) -> float | tuple[str, tuple[Any, ...]] | None:
+    """A line's second, or its table and row; None if it is neither."""
+    try:
+        value = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    if not (isinstance(value, list) and len(value) == 2 and isinstance(value[0], str) and isinstance(value[1], list)):
+        return None
+    table, row = value
+    return (table, tuple(row)) if table in COLUMNS and len(row) == len(COLUMNS[table]) else None
+
+
 def read_journal(folder: Path) -> tuple[Recorder, float]:
     """The record of a run that was killed, as far as its journal goes.
 
@@ -93,16 +107,24 @@ def read_journal(folder: Path) -> tuple[Recorder, float]:
 
     Raises:
         FileNotFoundError: there is no journal.
+        InputError: it is damaged.
     """
     recorder, time_s = Recorder(), 0.0
     fresh: list[tuple[str, tuple[Any, ...]]] = []
-    for line in _whole_lines(folder / JOURNAL).splitlines():
-        value = json.loads(line)
-        if isinstance(value, list):
-            fresh.append((value[0], tuple(value[1])))
+    for number, line in enumerate(_whole_lines(folder / JOURNAL).splitlines(), start=1):
+        value = _value(line)
+        if value is None:
+            raise InputError(f"{folder / JOURNAL}: line {number}: is damaged, or no line that a run wrote")
+        if not isinstance(value, float):
+            fresh.append(value)
             continue
         time_s = value
         for table, row in fresh:
             recorder.add(table, row)
         fresh = []
+    try:
+        for table in COLUMNS:
+            recorder.columns(table)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{folder / JOURNAL}: is damaged: table {table} has a value of another kind") from None
     return recorder, time_s

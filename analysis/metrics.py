@@ -11,15 +11,14 @@ A number that can't be known (no such task, not recorded) is NaN, null in ``metr
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.record import ACTIVITIES, NAN, write_json
+from analysis.record import ACTIVITIES, NAN
 from analysis.statistic import statistic
-from analysis.tables import Run, load_run
+from analysis.tables import Run
 from analysis.turned_away import turned_away
 from analysis.witness import WITNESSES
 
@@ -167,23 +166,6 @@ def run_metrics(run: Run) -> Metrics:
         **_planning_time(run),
     }
     return {key: values[key] for key in METRICS}
-
-
-def write_metrics(folder: Path) -> Metrics:
-    """Compute the metrics of the run in a folder and write them there as ``metrics.json``.
-
-    Args:
-        folder: what ``Recorder.write`` wrote.
-
-    Returns:
-        The metrics.
-
-    Raises:
-        FileNotFoundError: if there is no record.
-    """
-    metrics = run_metrics(load_run(folder))
-    write_json(folder / "metrics.json", metrics)
-    return metrics
 
 
 def waits(tasks: pd.DataFrame, end_s: float) -> dict[str, NDArray[np.float64]]:

@@ -12,6 +12,7 @@ import numpy as np
 from analysis.figures import BLUE, GREEN, GREY, ORANGE, style
 from demand.profiles import Profile
 from sumo_nets.errors import InputError
+from sumo_nets.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +46,8 @@ def write_profiles_figure(profiles: Mapping[str, Profile], path: Path) -> Path:
             one.set_visible(False)
         axes[0].legend(fontsize=7, loc="upper left")
         try:
-            figure.savefig(path, dpi=160, metadata={"Date": None} if path.suffix == ".svg" else None)
+            with whole_file(path) as part:
+                figure.savefig(part, dpi=160, metadata={"Date": None} if path.suffix == ".svg" else None)
         except OSError as error:
             raise InputError(f"--figure: {path}: can't be written: {error.strerror}") from None
     return path

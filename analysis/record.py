@@ -14,7 +14,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, fields
 from operator import attrgetter
@@ -24,11 +23,15 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.parquet import quoted
+from analysis.run_files import METRICS_FILE, RUN_FILE
 from controller.events import KINDS, EventKind
 from controller.types import NO_AGV, AgvNumber, RequestNumber
+from sumo_nets.whole_file import whole_file, write_whole
 
 if TYPE_CHECKING:
     import duckdb
+    import pandas as pd
 
     from controller.garage import TaskState
     from sumo_nets.graph import Graph
@@ -405,15 +408,15 @@ class Recorder:
             for (name, sql, _, _), column in zip(_SCHEMA[table], values, strict=True)
         }
 
-    def write(self, folder: Path, meta: Mapping[str, object]) -> None:
-        """Write all tables and ``run.json`` into a folder, which is made if need be.
+    def write(self, folder: Path, meta: Mapping[str, object], metrics: Mapping[str, object] | None = None) -> None:
+        """Write all tables, the metrics and ``run.json`` into a folder, which is made if need be.
 
-        Each file appears whole or not at all (temporary file, then rename) and ``run.json`` comes last: a folder that
-        has it has all tables.
+        Each file appears whole or not at all, and ``run.json`` comes last: a folder that has it has everything.
 
         Args:
             folder: where to.
             meta: see ``META``; numbers that are not finite become null.
+            metrics: what goes into ``metrics.json``; None writes none.
 
         Raises:
             OSError: if the folder can't be written.
@@ -427,7 +430,9 @@ class Recorder:
                 arrays = self.columns(table)
                 digest[table] = _digest(arrays)
                 _write_parquet(connection, table, arrays, folder / f"{table}.parquet")
-        write_json(folder / "run.json", {**meta, "digest": digest})
+        if metrics is not None:
+            write_json(folder / METRICS_FILE, metrics)
+        write_json(folder / RUN_FILE, {**meta, "digest": digest})
 
 
 _DTYPES: Mapping[str, Any] = {"DOUBLE": np.float64, "INTEGER": np.int32, "BIGINT": np.int64, "VARCHAR": object}
@@ -437,15 +442,36 @@ def _write_parquet(
     connection: duckdb.DuckDBPyConnection, table: str, arrays: dict[str, NDArray[Any]], path: Path
 ) -> None:
     """One table to one file. NaN becomes null; the casts give empty columns of text their type."""
-    temporary = path.with_suffix(".tmp")
     casts = ", ".join(f"CAST({name} AS {sql}) AS {name}" for name, sql, _, _ in _SCHEMA[table])
     connection.register("recorded", arrays)
-    connection.execute(
-        f"COPY (SELECT {casts} FROM recorded) TO '{str(temporary).replace(chr(39), chr(39) * 2)}'"
-        " (FORMAT parquet, COMPRESSION zstd)"
-    )
+    with whole_file(path) as part:
+        connection.execute(
+            f"COPY (SELECT {casts} FROM recorded) TO {quoted(str(part))} (FORMAT parquet, COMPRESSION zstd)"
+        )
     connection.unregister("recorded")
-    os.replace(temporary, path)
+
+
+def wrong_columns(table: str, frame: pd.DataFrame) -> str:
+    """Which column a table lacks, or has with values of another kind; "" if it is as a run writes it."""
+    for name, sql, _, _ in _SCHEMA[table]:
+        if name not in frame:
+            return f"has no column {name}: another version, or another program, wrote it"
+        kinds = "O" if sql == "VARCHAR" else "fiu"
+        if len(frame) and frame[name].dtype.kind not in kinds and str(frame[name].dtype) not in ("str", "string"):
+            return f"{name} is {frame[name].dtype}: a run writes {sql}"
+    return ""
+
+
+def digest_of(table: str, frame: pd.DataFrame) -> str:
+    """The digest of a table that was read back, as :meth:`Recorder.write` takes it."""
+    try:
+        return _digest({name: _array(frame[name], sql) for name, sql, _, _ in _SCHEMA[table]})
+    except (TypeError, ValueError):  # text where there is none in a run's table
+        return ""
+
+
+def _array(column: pd.Series[Any], sql: str) -> NDArray[Any]:
+    return column.to_numpy(dtype=_DTYPES[sql])
 
 
 def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
@@ -469,12 +495,7 @@ def write_json(path: Path, value: Mapping[str, object]) -> None:
     Raises:
         OSError: if the file can't be written.
     """
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text(
-        json.dumps(_finite(value), sort_keys=True, indent=2, ensure_ascii=False, allow_nan=False) + "\n",
-        encoding="utf-8",
-    )
-    os.replace(temporary, path)
+    write_whole(path, json.dumps(_finite(value), sort_keys=True, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def _finite(value: object) -> object:

@@ -20,6 +20,7 @@ from analysis.run_files import INPUTS
 from analysis.tables import Run, load_run
 from analysis.turned_away import turned_away, turned_away_words
 from analysis.words import counted, words
+from sumo_nets.whole_file import write_whole
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -344,7 +345,4 @@ def environment() -> Environment:
 
 def write_page(path: Path, page: str) -> Path:
     """Write a page, whole or not at all, and return its path."""
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text(page, encoding="utf-8")
-    os.replace(temporary, path)
-    return path
+    return write_whole(path, page)

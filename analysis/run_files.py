@@ -8,6 +8,9 @@ from sumo_nets.errors import InputError
 
 #: A folder that holds this file holds a run. It is the last file of a run to be written.
 RUN_FILE = "run.json"
+METRICS_FILE = "metrics.json"
+#: The scenario as it was run, every key written out.
+SCENARIO_FILE = "scenario.yaml"
 #: A folder that holds this one holds a run that has not ended, see ``analysis.journal``.
 JOURNAL = "journal.jsonl"
 #: Folder within a run's, or a sweep's, for copies of the user's own files that it reads.

@@ -18,11 +18,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from analysis.damage import damage
+from analysis.json_files import read_object, read_rows
 from analysis.metrics import METRICS, run_metrics
 from analysis.parquet import parquet_rows, quoted
 from analysis.record import COLUMNS
+from analysis.run_files import METRICS_FILE, RUN_FILE
 from analysis.tables import load_run
 from analysis.variants import Variant, by_scenario, flatten
+from sumo_nets.errors import InputError
 
 if TYPE_CHECKING:
     import duckdb
@@ -109,8 +113,19 @@ class Runs:
 
         Returns:
             Rows in the order of the runs and of each record.
+
+        Raises:
+            InputError: a record is damaged.
         """
-        frame: pd.DataFrame = self.relation(name).df()
+        import duckdb
+
+        try:
+            frame: pd.DataFrame = self.relation(name).df()
+        except duckdb.Error as error:
+            wrong = next((wrong for folder in self.folders.values() if (wrong := damage(folder))), "")
+            if wrong:
+                raise InputError(wrong) from error
+            raise
         return frame
 
     def relation(self, name: str) -> duckdb.DuckDBPyRelation:
@@ -141,8 +156,8 @@ class Runs:
 
     def _row(self, run: str) -> dict[str, Any]:
         """The run's row of the table ``runs``."""
-        meta, file = self._metas[run], self.folders[run] / "metrics.json"
-        known = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else run_metrics(load_run(file.parent))
+        meta, file = self._metas[run], self.folders[run] / METRICS_FILE
+        known = read_object(file) if file.is_file() else run_metrics(load_run(file.parent))
         scenario = {
             key: json.dumps(value) if isinstance(value, list) else value
             for key, value in flatten(meta.get("scenario") or {}).items()
@@ -198,11 +213,14 @@ def load_runs(folder: Path | str) -> Runs:
     if not plan.is_file():
         folders = {path.parent.relative_to(folder).as_posix(): path.parent for path in sorted(folder.rglob("run.json"))}
         return Runs(_some(folders, folder))
-    rows = json.loads(plan.read_text(encoding="utf-8"))["runs"]
+    rows = read_rows(plan, "runs", ("run",))
     folders = {row["run"]: folder / "runs" / row["run"] for row in rows}
-    done = {run: path for run, path in folders.items() if (path / "metrics.json").is_file()}
+    done = {run: path for run, path in folders.items() if (path / RUN_FILE).is_file()}
     named = {row["run"]: row for row in rows if row["run"] in done and "variant" in row}
-    planned = {run: Variant(row["variant"], dict(row["shown"])) for run, row in named.items()}
+    try:
+        planned = {run: Variant(str(row["variant"]), dict(row["shown"])) for run, row in named.items()}
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{plan}: runs: a sweep writes the variant of each as shown: [[key, value], ...]") from None
     return Runs(_some(done, folder), planned, _failures(folder / "failures.json"))
 
 
@@ -213,7 +231,7 @@ def _some(folders: Mapping[str, Path], folder: Path) -> Mapping[str, Path]:
 
 
 def _failures(path: Path) -> tuple[Mapping[str, Any], ...]:
-    return tuple(json.loads(path.read_text(encoding="utf-8"))["failures"]) if path.is_file() else ()
+    return tuple(read_rows(path, "failures", ("run", "variant", "error"))) if path.is_file() else ()
 
 
 def _runs_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:

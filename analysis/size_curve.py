@@ -10,6 +10,7 @@ from pathlib import Path
 from analysis.figures import BLUE, GREY, RED, Drawing, new_figure, style, svg
 from analysis.measures import Interval, interval
 from analysis.turned_away import TurnedAway
+from sumo_nets.whole_file import write_whole
 
 #: What can be sized: the scenario's key, and its word.
 SIZED = {"agvs": "AGVs", "bays": "bays", "chargers": "chargers"}
@@ -144,4 +145,4 @@ def write_curve(drawing: Drawing, path: Path) -> None:
         drawing: the figure.
         path: the file.
     """
-    path.write_text('<?xml version="1.0" encoding="UTF-8"?>\n' + drawing.svg + "\n", encoding="utf-8")
+    write_whole(path, f'<?xml version="1.0" encoding="UTF-8"?>\n{drawing.svg}\n')

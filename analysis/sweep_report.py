@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from analysis.checks import RULES
 from analysis.clock import Clock
 from analysis.figures import Drawing, style, svg
+from analysis.json_files import read_object
 from analysis.measures import MEASURES, Interval, interval, measure_runs
 from analysis.report import environment, number, write_page
 from analysis.runs import Runs, load_runs
@@ -80,7 +80,7 @@ def write_sweep_report(folder: Path, answers: Sequence[str] = (), answer_drawing
         drawings=[*answer_drawings, *_drawings(variants, runs.varied)],
         checks=_checks(frame),
         failures=runs.failures,
-        code=json.loads(plan.read_text(encoding="utf-8"))["code"] if plan.is_file() else "",
+        code=read_object(plan).get("code", "") if plan.is_file() else "",
         versions=sorted((meta.get("versions") or {}).items()),
         links=[(run, (path / "run.json").relative_to(folder).as_posix()) for run, path in runs.folders.items()],
         runs=frame[["run", "variant", "seed", "status"]].astype(str).to_numpy().tolist(),

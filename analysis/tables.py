@@ -11,9 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analysis.journal import read_journal
+from analysis.json_files import FOREIGN, read_meta, read_rows
 from analysis.parquet import parquet_rows
-from analysis.record import COLUMNS, Recorder
+from analysis.record import COLUMNS, Recorder, wrong_columns
 from analysis.run_files import JOURNAL
+from sumo_nets.errors import InputError
+from sumo_nets.wording import cut
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,8 +61,8 @@ class Run:
         plan = self.folder.resolve().parent.parent / "sweep.json" if self.folder is not None else None
         if plan is None or not plan.is_file():
             return ""
-        rows = json.loads(plan.read_text(encoding="utf-8"))["runs"]
-        return next((row.get("variant", "") for row in rows if row["run"] == self.name), "")
+        rows = read_rows(plan, "runs", ("run",))
+        return next((str(row.get("variant", "")) for row in rows if row["run"] == self.name), "")
 
     @cached_property
     def events(self) -> pd.DataFrame:
@@ -139,6 +142,7 @@ def load_run(folder: Path | str) -> Run:
 
     Raises:
         FileNotFoundError: if there is no record in the folder.
+        InputError: the record is damaged. A table that is damaged raises it when it is first used.
 
     Example:
         >>> import tempfile
@@ -157,8 +161,7 @@ def load_run(folder: Path | str) -> Run:
         return recorded_run(recorder, {"status": "killed", "simulated_s": time_s}, folder.resolve().name)
     if not path.is_file():
         raise FileNotFoundError(f"no record of a run in {folder} (run.json is missing)")
-    meta = json.loads(path.read_text(encoding="utf-8"))
-    return Run(folder.resolve().name, meta, partial(_read_parquet, folder), folder)
+    return Run(folder.resolve().name, read_meta(path), partial(read_table, folder), folder)
 
 
 def recorded_run(recorder: Recorder, meta: Mapping[str, Any], name: str = "run") -> Run:
@@ -177,11 +180,21 @@ def recorded_run(recorder: Recorder, meta: Mapping[str, Any], name: str = "run")
     return Run(name, meta, lambda table: pd.DataFrame(recorder.columns(table)))
 
 
-def _read_parquet(folder: Path, table: str) -> pd.DataFrame:
-    """One table of one folder, rows in the order of the file."""
+def read_table(folder: Path, table: str) -> pd.DataFrame:
+    """One table of one folder, rows in the order of the file.
+
+    Raises:
+        InputError: it is missing or damaged, or lacks a column.
+    """
     import duckdb
 
-    with duckdb.connect(config={"threads": 1}) as connection:
-        rows = parquet_rows([folder / f"{table}.parquet"])
-        frame: pd.DataFrame = connection.execute(f"SELECT * EXCLUDE (filename) FROM {rows}").df()
+    path = folder / f"{table}.parquet"
+    try:
+        with duckdb.connect(config={"threads": 1}) as connection:
+            frame: pd.DataFrame = connection.execute(f"SELECT * EXCLUDE (filename) FROM {parquet_rows([path])}").df()
+    except duckdb.Error as error:
+        why = cut(str(error)) if path.is_file() else "it is missing"
+        raise InputError(f"{path}: {FOREIGN}: {why}") from None
+    if wrong := wrong_columns(table, frame):
+        raise InputError(f"{path}: {wrong}")
     return frame

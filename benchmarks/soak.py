@@ -135,12 +135,25 @@ def is_good(row: Mapping[str, Any]) -> bool:
 
 # --- pieces -----------------------------------------------------------------------------------------------------------
 
-#: Planners with how often they are drawn. Those of complete searches get small fleets.
+#: Planners with how often they are drawn. In ticks those that plan in every tick are drawn more rarely: they are slow.
 PLANNERS = {
-    "token": 6, "whca": 3, "pbs": 2, "pibt": 2, "lacam": 1, "online_mapf": 1, "astar": 1, "dstar_lite": 1, "cbs": 1,
-    "binary_tree": 1,
+    "sumo": {
+        "token": 6, "whca": 3, "pbs": 2, "pibt": 2, "lacam": 1, "online_mapf": 1, "astar": 1, "dstar_lite": 1, "cbs": 1,
+        "binary_tree": 1,
+    },
+    "discrete": {
+        "token": 40, "whca": 2, "pbs": 2, "pibt": 2, "lacam": 1, "online_mapf": 2, "astar": 1, "dstar_lite": 1,
+        "cbs": 1, "binary_tree": 1,
+    },
 }  # fmt: skip
-SMALL_FLEETS = {"cbs": 3, "lacam": 8, "pbs": 16, "binary_tree": 4, "astar": 6, "dstar_lite": 6, "online_mapf": 8}
+#: The greatest fleets of planners that search long.
+SMALL_FLEETS = {
+    "sumo": {"cbs": 3, "lacam": 8, "pbs": 16, "binary_tree": 4, "astar": 6, "dstar_lite": 6, "online_mapf": 8},
+    "discrete": {
+        "cbs": 3, "lacam": 4, "pbs": 6, "binary_tree": 4, "astar": 6, "dstar_lite": 6, "online_mapf": 6, "whca": 8,
+        "pibt": 16,
+    },
+}  # fmt: skip
 #: Shipped garages with their greatest fleets here, and how many random ones are drawn beside them.
 SHIPPED = {"map1": 8, "map2": 32, "map3": 64}
 #: Cars of the start for each AGV at most, and slots: all of them leave, which takes a small fleet days.
@@ -149,7 +162,7 @@ RANDOM_SHARE = 0.35
 #: What an operator's script does.
 KINDS = ("all_stop", "zone_stop", "blocked", "bay", "charger", "breakdown", "battery", "stop", "slow")
 #: Simulated seconds of demand, and those after which a piece that has not ended has failed.
-DEMAND_S, GIVE_UP_S = {"discrete": 7200.0, "sumo": 3600.0}, {"discrete": 60_000.0, "sumo": 80_000.0}
+DEMAND_S, GIVE_UP_S = {"discrete": 14_400.0, "sumo": 3600.0}, {"discrete": 60_000.0, "sumo": 80_000.0}
 COLUMNS = (
     "plant", "piece", "garage", "agvs", "planner", "demand", "rate", "script", "agv_steps", "tasks_done", "status",
     "finds", "version", "code", "date",
@@ -159,14 +172,15 @@ COLUMNS = (
 def piece(plant: str, number: int) -> dict[str, Any]:
     """Keys of the scenario with a number."""
     rng = random.Random(f"{plant} {number}")
-    planner = rng.choices(list(PLANNERS), list(PLANNERS.values()))[0]
+    weights = PLANNERS[plant]
+    planner = rng.choices(list(weights), list(weights.values()))[0]
     if rng.random() < RANDOM_SHARE:
         drawn = rng.randrange(10**6)
         garage, agvs = f"random {drawn}", garages.draw(drawn).keys["agvs"]
         per_h, share = 40.0, rng.choice((0.0, 0.5, 1.0))
     else:
         garage = rng.choice(list(SHIPPED))
-        agvs = rng.randint(2, min(SHIPPED[garage], SMALL_FLEETS.get(planner, 99)))
+        agvs = rng.randint(2, min(SHIPPED[garage], SMALL_FLEETS[plant].get(planner, 99)))
         per_h, share = 6.0 * agvs, rng.choice((0.2, 0.5, 0.9))
         share = round(min(share, CARS_PER_AGV * agvs / SLOTS[garage]), 3)
     minutes = DEMAND_S[plant] / 60

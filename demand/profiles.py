@@ -29,6 +29,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from sumo_nets.errors import InputError
 from sumo_nets.fields import first_error
+from sumo_nets.whole_file import write_whole
 from sumo_nets.wording import one_of
 from sumo_nets.yaml_file import YamlError, read_mapping
 
@@ -287,7 +288,7 @@ def write_profile(profile: Profile, path: Path) -> None:
         OSError: it can't be written.
     """
     text = yaml.safe_dump(profile.model_dump(mode="json"), sort_keys=False, allow_unicode=True, width=120)
-    path.write_text(text, encoding="utf-8")
+    write_whole(path, text)
 
 
 def _after(level: float, length: float, arrivals: float, leaving: float) -> float:

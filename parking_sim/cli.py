@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,9 +21,11 @@ import typer
 from parking_sim import gate_logs, planner_check, routes, studies
 from parking_sim.command_groups import Grouped
 from parking_sim.errors import RunFailedError
+from parking_sim.interrupts import StoppedInterrupt, ended_like_by_ctrl_c
 from parking_sim.reproduce import app as reproduce_app
 from parking_sim.shadowing import require_own_packages
 from sumo_nets.errors import InputError
+from sumo_nets.whole_file import write_whole
 from sumo_nets.wording import one_of
 
 if TYPE_CHECKING:
@@ -99,18 +102,26 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         if "doctor" not in words:  # which tells of hidden packages among all else
             require_own_packages()
-        code = app(words, prog_name=app.info.name, standalone_mode=False) or 0
+        with ended_like_by_ctrl_c():
+            code = app(words, prog_name=app.info.name, standalone_mode=False) or 0
+        sys.stdout.flush()
     except usage_error as error:
         _complain(_usage(error))
         code = BAD_INPUT
-    except (KeyboardInterrupt, typer.Abort):
+    except (KeyboardInterrupt, typer.Abort) as error:
         print("interrupted", file=sys.stderr)
-        code = INTERRUPTED
+        code = error.exit_code if isinstance(error, StoppedInterrupt) else INTERRUPTED
     except InputError as error:
         _complain(str(error))
         code = BAD_INPUT
     except RunFailedError as error:
         _complain(str(error))
+        code = UNFINISHED
+    except BrokenPipeError:  # whoever read our words has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = UNFINISHED
+    except OSError as error:
+        _complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
         code = UNFINISHED
     raise SystemExit(code)
 
@@ -168,11 +179,13 @@ def replay_(
 ) -> None:
     """Write the replay of a run: one HTML file to watch it in a browser, offline."""
     from analysis.clock import Clock
+    from analysis.damage import readable
     from analysis.replay import load_replayed, write_replay
 
-    clock = Clock.of(load_replayed(folder).meta)
     try:
-        print(write_replay(folder, _moment("--from", start, clock), _moment("--to", end, clock)))
+        with readable(folder):
+            clock = Clock.of(load_replayed(folder).meta)
+            print(write_replay(folder, _moment("--from", start, clock), _moment("--to", end, clock)))
     except OSError as error:
         raise InputError(f"{folder}: can't be written: {error.strerror}") from None
 
@@ -188,13 +201,15 @@ def resume(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
 ) -> None:
     """Finish a run that was killed: simulated anew, compared with what it had recorded, to the same record."""
-    from analysis.run_files import JOURNAL
+    from analysis.run_files import SCENARIO_FILE, did_not_end
     from parking_sim.config import load_scenario
     from parking_sim.inputs import check_trust
     from parking_sim.simulation import simulate
 
-    if not (folder / JOURNAL).is_file():
+    if not did_not_end(folder):
         raise InputError(f"{folder}: no run that did not end; nothing to resume")
+    if not (folder / SCENARIO_FILE).is_file():
+        raise InputError(f"{folder}: the run was killed before it began; run its scenario again with --force")
     check_trust(folder, trust)
     loaded = load_scenario(folder / "scenario.yaml")
     with _progress_bar(folder.name, quiet) as progress:
@@ -213,13 +228,14 @@ def rerun_(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but differences and errors.")] = False,
 ) -> None:
     """Run a record's scenario again, from the files in its folder, and compare the two records table by table."""
+    from analysis.damage import readable
     from parking_sim.rerun import rerun
 
     if out is not None:
         from parking_sim.folders import check_folder
 
         check_folder(out, force=False)
-    with _progress_bar(folder.name, quiet) as progress:
+    with _progress_bar(folder.name, quiet) as progress, readable(folder):
         found = rerun(folder, out, progress, trust=trust)
     for line in (*found.notes, *found.differences):
         print(line)
@@ -298,7 +314,7 @@ def trace_lanes(
     target = out or plan.with_name(f"{plan.stem}_layout.yaml")
     tracing = trace(floor_plan, walls, method.value, seed, str(plan))
     try:
-        target.write_text(tracing_yaml(tracing, plan.name), encoding="utf-8")
+        write_whole(target, tracing_yaml(tracing, plan.name))
         if draw is not None:
             draw_tracing(tracing, floor_plan, walls, draw)
     except OSError as error:
@@ -368,9 +384,11 @@ def explain(
     svg: Annotated[Path | None, typer.Option(help="Draw this deadlock into a file.")] = None,
 ) -> None:
     """Explain a run: what held it at its end, its deadlocks and what resolved them, and the longest waits of AGVs."""
+    from analysis.damage import readable
     from analysis.explain import explain as explanation
 
-    print(explanation(folder, number, svg))
+    with readable(folder):
+        print(explanation(folder, number, svg))
 
 
 @app.command()

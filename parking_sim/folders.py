@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
-from analysis.run_files import INPUTS, JOURNAL, RUN_FILE, did_not_end, go_on
+from analysis.record import COLUMNS
+from analysis.run_files import INPUTS, JOURNAL, METRICS_FILE, RUN_FILE, SCENARIO_FILE, did_not_end, go_on
+from parking_sim.config import NET_SUFFIXES, read_yaml
+from parking_sim.folder_lock import FolderLock
 from sumo_nets.errors import InputError
+from sumo_nets.whole_file import PART
 
 #: What is not written to a folder with these in its name, and why.
 _UNREADABLE = {
@@ -15,7 +19,16 @@ _UNREADABLE = {
     "%": "SUMO reads a per cent sign as the code of a character",
     "\\": "DuckDB reads a backslash as a sign of its own",
 }
-_SUFFIXES = {".parquet", ".json", ".jsonl", ".html", ".xml", ".gz", ".sumocfg", ".yaml", ".svg", ".png"}
+#: All that a run and its pages write, but for the user's own files in ``inputs/``.
+WRITTEN = (
+    RUN_FILE,
+    JOURNAL,
+    METRICS_FILE,
+    SCENARIO_FILE,
+    *(f"{table}.parquet" for table in COLUMNS),
+    *("report.html", "replay.html"),
+    *("agvs.rou.xml", "run.sumocfg", "tripinfo.xml", "stops.xml", "statistics.xml", "fcd.xml.gz"),
+)
 
 
 def check_folder(folder: Path, force: bool) -> None:
@@ -32,6 +45,7 @@ def check_folder(folder: Path, force: bool) -> None:
     check_path(folder)
     try:
         if folder.is_dir() and any(folder.iterdir()):
+            FolderLock(folder).release()
             if did_not_end(folder):
                 if not force:
                     raise InputError(f"--out: {go_on(folder)}, or give --force to replace it")
@@ -59,15 +73,39 @@ def check_path(folder: Path) -> None:
 def clear_run(folder: Path) -> None:
     """Remove an earlier run's files, so that none of them is taken for the new run's.
 
+    The folder counts as that of a run until the last file has gone, so that a kill meanwhile does no harm.
+
     Args:
-        folder: a run's folder. One that is absent or holds no run is left as it is, and so are folders within but that
-            of the inputs, and files of kinds that a run doesn't write.
+        folder: a run's folder. One that is absent or holds no run is left as it is, and so is whatever a run does not
+            write: other files, other folders, and other files in the folder of the inputs.
+
+    Raises:
+        OSError: something can't be removed.
     """
-    if (folder / RUN_FILE).is_file() or (folder / JOURNAL).is_file():
-        for path in (folder / RUN_FILE, *folder.iterdir()):
-            if path.is_file() and path.suffix in _SUFFIXES:
-                path.unlink(missing_ok=True)
-        shutil.rmtree(folder / INPUTS, ignore_errors=True)
+    if not ((folder / RUN_FILE).is_file() or (folder / JOURNAL).is_file()):
+        return
+    (folder / JOURNAL).touch()
+    inputs = own_inputs(folder)
+    for path in (*(folder / name for name in WRITTEN if name != JOURNAL), *inputs, *folder.glob(f"{PART}*")):
+        path.unlink(missing_ok=True)
+    with suppress(OSError):
+        (folder / INPUTS).rmdir()
+    (folder / JOURNAL).unlink()
+
+
+def own_inputs(folder: Path) -> list[Path]:
+    """The user's own files of which a run's folder keeps copies, by its scenario; none if that can't be read."""
+    try:
+        data = read_yaml(folder / SCENARIO_FILE)
+    except InputError:
+        return []
+    workload = data.get("workload")
+    named = [data.get("garage"), str(data.get("planner", "")).rpartition(":")[0]]
+    named += list(workload.values()) if isinstance(workload, dict) else []
+    kept = [name for name in named if isinstance(name, str) and Path(name).parent == Path(INPUTS)]
+    for suffix in NET_SUFFIXES:
+        kept += [f"{name.removesuffix(suffix)}.add.xml" for name in kept if name.endswith(suffix)]
+    return [folder / name for name in kept]
 
 
 def _try_writing(folder: Path) -> None:

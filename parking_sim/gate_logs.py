@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from sumo_nets.errors import InputError
+from sumo_nets.whole_file import whole_file
 
 Log = Annotated[Path, typer.Argument(help="A gate log: a header, then a row a movement with time, in or out, plate.")]
 Columns = Annotated[str, typer.Option(help="Names of columns, such as time=Zeitpunkt,event=Richtung,car=Kennzeichen.")]
@@ -84,7 +85,7 @@ def requests(
     part = cut(read_gate_log(log, parse_dialect(columns, events, dates, zone)), *stretch)
     rows = requests_of(part, initial)
     try:
-        with out.open("w", encoding="utf-8", newline="") as file:
+        with whole_file(out) as beside, beside.open("w", encoding="utf-8", newline="") as file:
             csv.writer(file, lineterminator="\n").writerows([COLUMNS, *rows])
     except OSError as error:
         raise InputError(f"--out: {out}: can't be written: {error.strerror}") from None

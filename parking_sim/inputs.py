@@ -13,17 +13,15 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from uuid import uuid4
 
 import yaml
 
-from analysis.run_files import INPUTS
+from analysis.run_files import INPUTS, SCENARIO_FILE
 from parking_sim.config import NET_SUFFIXES, Scenario, read_yaml
 from sumo_nets.errors import InputError
 from sumo_nets.read import net_files
+from sumo_nets.whole_file import write_whole
 from sumo_nets.wording import cut, shown
-
-SCENARIO_FILE = "scenario.yaml"
 
 
 @dataclass(frozen=True)
@@ -113,11 +111,11 @@ def write_inputs(inputs: Inputs, folder: Path, shared: Path | None = None) -> No
         target.parent.mkdir(parents=True, exist_ok=True)
         target.unlink(missing_ok=True)  # it may be a link to what other runs read
         if shared is None:
-            target.write_bytes(content)
+            write_whole(target, content)
         else:
             _link(_shared(content, inputs.digests[name], shared), target)
     text = yaml.safe_dump(dict(inputs.scenario), sort_keys=False, allow_unicode=True)
-    (folder / SCENARIO_FILE).write_text(text, encoding="utf-8")
+    write_whole(folder / SCENARIO_FILE, text)
 
 
 def kept_net(scenario: Scenario, folder: Path) -> tuple[Path, Path]:
@@ -141,9 +139,7 @@ def _shared(content: bytes, digest: str, folder: Path) -> Path:
     path = folder / digest
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f"{digest}.part-{uuid4().hex}")
-        temporary.write_bytes(content)
-        temporary.replace(path)
+        write_whole(path, content)
     return path
 
 

@@ -19,18 +19,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
-from analysis.run_files import INPUTS
+from analysis.run_files import INPUTS, RUN_FILE
 from parking_sim.config import Scenario
 from parking_sim.errors import RunFailedError
+from parking_sim.folder_lock import FolderLock
 from parking_sim.folders import check_path
 from parking_sim.sweep_plan import RunSpec
 from parking_sim.versions import code_version
 from sumo_nets.errors import InputError
+from sumo_nets.whole_file import PART
 
 SWEEP_FILE, FAILURES_FILE, RUNS_FOLDER = "sweep.json", "failures.json", "runs"
 
-#: Written last of all into the folder of a run.
-_LAST_FILE = "metrics.json"
 _PART = ".part-"
 _TELL_S = 0.5
 _one_at_a_time = threading.Lock()
@@ -84,31 +84,46 @@ def sweep(specs: Sequence[RunSpec], folder: Path, executor: Executor, tell: Tell
     Raises:
         InputError: the folder can't be used.
     """
-    open_folder(folder)
-    write_plan(specs, folder)
-    failures = run_missing(specs, folder, executor, tell)
-    _write_failures(failures, folder)
+    with open_folder(folder):
+        write_plan(specs, folder)
+        failures = run_missing(specs, folder, executor, tell)
+        _write_failures(failures, folder)
     return failures
 
 
-def open_folder(folder: Path) -> None:
-    """Make the folder of a sweep, and remove what runs that were killed have left there.
+def open_folder(folder: Path) -> FolderLock:
+    """Make the folder of a sweep, keep other processes out, and remove what runs that were killed have left there.
 
     Args:
         folder: absent, empty, or that of a sweep.
 
+    Returns:
+        The lock on the folder; release it at the end.
+
     Raises:
-        InputError: it holds something else or can't be written.
+        InputError: it holds something else, another process writes to it, or it can't be written.
     """
     check_path(folder)
     try:
-        if folder.is_dir() and any(folder.iterdir()) and not (folder / SWEEP_FILE).is_file():
-            raise InputError(f"--out: {folder}: holds files that are not a sweep's; give another folder")
         (folder / RUNS_FOLDER).mkdir(parents=True, exist_ok=True)
+        lock = FolderLock(folder)
+        if not (folder / SWEEP_FILE).is_file() and _is_foreign(folder):
+            raise InputError(f"--out: {folder}: holds files that are not a sweep's; give another folder")
         for path in (folder / RUNS_FOLDER).glob(f"*{_PART}*"):
             shutil.rmtree(path, ignore_errors=True)
+        for path in folder.glob(f"{PART}*"):
+            path.unlink()
     except OSError as error:
         raise InputError(f"--out: {folder}: can't be written: {error.strerror}") from None
+    return lock
+
+
+def _is_foreign(folder: Path) -> bool:
+    """Whether a folder without a sweep's file holds more than what a sweep leaves that was killed before it began."""
+    own = (RUNS_FOLDER, INPUTS)
+    return any(path.name not in own and not path.name.startswith(PART) for path in folder.iterdir()) or any(
+        not (folder / name).is_dir() for name in own if (folder / name).exists()
+    )
 
 
 def write_plan(specs: Sequence[RunSpec], folder: Path) -> None:
@@ -184,7 +199,7 @@ def run_folder(spec: RunSpec, folder: Path) -> Path:
 
 def is_done(spec: RunSpec, folder: Path) -> bool:
     """Whether a run has its record."""
-    return (run_folder(spec, folder) / _LAST_FILE).is_file()
+    return (run_folder(spec, folder) / RUN_FILE).is_file()
 
 
 def do_run(scenario: Scenario, out: Path) -> None:

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from analysis.run_files import check_ended
+from analysis.run_files import SCENARIO_FILE, check_ended
 from analysis.tables import load_run
 from analysis.variants import flatten
 from parking_sim.config import Scenario, load_scenario
-from parking_sim.inputs import SCENARIO_FILE, check_trust, read_inputs
+from parking_sim.inputs import check_trust, read_inputs
 from parking_sim.simulation import RunProgress, simulate
 from parking_sim.versions import code_version, versions
 from sumo_nets.errors import InputError

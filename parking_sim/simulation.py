@@ -26,6 +26,8 @@ from parking_sim.accounts import Accounts
 from parking_sim.assembly import World, assemble
 from parking_sim.closing import held_work, task_row
 from parking_sim.config import Scenario
+from parking_sim.errors import RunFailedError
+from parking_sim.folder_lock import FolderLock
 from parking_sim.folders import clear_run
 from parking_sim.inputs import Inputs, kept_net, read_inputs, write_inputs
 from parking_sim.plants import CarAtBay
@@ -123,6 +125,7 @@ def simulate(
         InputError: the scenario does not fit its garage, a file of yours hides a package of the program, or a planner
             of your own fails; nothing is left in the folder then. Or a resumed run differs from its journal.
         PlantError: SUMO failed.
+        RunFailedError: the record can't be written.
 
     Example:
         >>> import parking_sim as ps
@@ -134,11 +137,20 @@ def simulate(
     try:
         with run.started(gui, fcd):
             status = run.loop()
+        return run.finish(status)
     except PlannerError:
         if not resumed:
             run.discard()
         raise
-    return run.finish(status)
+    except OSError as error:
+        raise RunFailedError(f"{_what_failed(error, out)}; what is recorded so far can be read") from error
+    finally:
+        run.leave()
+
+
+def _what_failed(error: OSError, out: Path | str | None) -> str:
+    """Which file can't be written or read, and why."""
+    return f"{error.filename or out}: {error.strerror or error}"
 
 
 def prepare(
@@ -165,13 +177,13 @@ def prepare(
     run = RunLoop(world, out, progress)
     if out is not None:
         run.inputs = read_inputs(scenario)
-        if not resumed:
-            clear_run(out)
         out.mkdir(parents=True, exist_ok=True)
-        write_inputs(run.inputs, out, shared)
-        net_file, additional_file = kept_net(scenario, out)
-        run.world = replace(world, net=replace(world.net, net_file=net_file, additional_file=additional_file))
-        run.journal = Journal(out, resumed)
+        run.lock = FolderLock(out)
+        try:
+            run.begin(out, resumed, shared)
+        except BaseException:
+            run.leave()
+            raise
     return run
 
 
@@ -196,6 +208,7 @@ class RunLoop:
         self.step_s = world.motion.step_s
         self.names = world.net.graph.names
         self.journal: Journal | None = None
+        self.lock: FolderLock | None = None
         self.inputs: Inputs | None = None
         self._progress = progress
         self._told = 0.0
@@ -215,6 +228,17 @@ class RunLoop:
         self._standstill = Standstill(self.acs, self.garage, world.scenario.control.stuck_s, self.step_s)
         for car, slot in self.garage.parked.items():
             self._log(Event("car_initial", car=car, vertex=slot))
+
+    def begin(self, out: Path, resumed: bool, shared: Path | None) -> None:
+        """Write what the record begins with; the journal first: a folder that has it holds a run, however it ends."""
+        if not resumed:
+            clear_run(out)
+        self.journal = Journal(out, resumed)
+        if self.inputs is not None:
+            write_inputs(self.inputs, out, shared)
+        net_file, additional_file = kept_net(self.world.scenario, out)
+        net = replace(self.world.net, net_file=net_file, additional_file=additional_file)
+        self.world = replace(self.world, net=net)
 
     @property
     def now_s(self) -> float:
@@ -442,6 +466,13 @@ class RunLoop:
 
     # --- the end --------------------------------------------------------------------------------------------------
 
+    def leave(self) -> None:
+        """Close the journal and let others have the folder, however the run has ended."""
+        if self.journal is not None:
+            self.journal.close(finished=False)
+        if self.lock is not None:
+            self.lock.release()
+
     def discard(self) -> None:
         """Remove what the run has written so far, and its folder if nothing else is in it."""
         if self.out is None or self.journal is None:
@@ -461,18 +492,17 @@ class RunLoop:
         held = self._held(status)
         meta = {**self._meta(status), "held": held}
         from analysis.checks import failed_checks, run_checks
-        from analysis.metrics import run_metrics, write_metrics
+        from analysis.metrics import run_metrics
         from analysis.tables import recorded_run
         from analysis.witness import witnesses
 
-        if out is None:
-            metrics = run_metrics(recorded_run(self.recorder, meta))
-        else:
+        if out is not None:
             meta["witnesses"] = witnesses(recorded_run(self.recorder, meta), out)
-            self.recorder.write(out, meta)
+        metrics = run_metrics(recorded_run(self.recorder, meta))
+        if out is not None:
+            self.recorder.write(out, meta, metrics)
             if self.journal is not None:
                 self.journal.close(finished=True)
-            metrics = write_metrics(out)
         return Summary(status, metrics, out, failed_checks(run_checks(meta, metrics)), held)
 
     def _held(self, status: Ended) -> tuple[str, ...]:

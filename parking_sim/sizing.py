@@ -145,7 +145,6 @@ def size_garage(
         InputError: the folder can't be used, or the scenario does not fit its garage.
         RunFailedError: a run failed twice.
     """
-    open_folder(folder)
     settings, known = dict(most), dict[str, RunSpec]()
 
     def measure(what: str, done: dict[int, list[RunSpec]], number: int, seeds: Sequence[int]) -> Sequence[float]:
@@ -157,14 +156,15 @@ def size_garage(
         return measure_specs(specs, target.key, folder, executor, tell)
 
     given: dict[str, int] = {}
-    for what, limit in most.items():
-        done: dict[int, list[RunSpec]] = {}
-        found = find_least(target, limit, partial(measure, what, done), looks)
-        away = {number: _turned_away(specs, folder) for number, specs in done.items()}
-        yield replace(found, what=what, given=dict(given), away=away)
-        if found.number is None:
-            return
-        settings[what] = given[what] = found.number
+    with open_folder(folder):
+        for what, limit in most.items():
+            done: dict[int, list[RunSpec]] = {}
+            found = find_least(target, limit, partial(measure, what, done), looks)
+            away = {number: _turned_away(specs, folder) for number, specs in done.items()}
+            yield replace(found, what=what, given=dict(given), away=away)
+            if found.number is None:
+                return
+            settings[what] = given[what] = found.number
 
 
 def measure_specs(

@@ -127,9 +127,12 @@ class Simulation:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Close the plant, then write the record and work out the metrics, unless an exception leaves the run."""
-        self._plant.close()
-        if kind is None:
-            self._summary = self._run.finish(self._status or "interrupted")
+        try:
+            self._plant.close()
+            if kind is None:
+                self._summary = self._run.finish(self._status or "interrupted")
+        finally:
+            self._run.leave()
 
     def step(self) -> bool:
         """Take one step of the scenario's ``step_s``.

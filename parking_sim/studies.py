@@ -63,8 +63,9 @@ def compare(
     figure: Annotated[Path | None, typer.Option(help="Picture to write, .svg or .png.")] = None,
 ) -> None:
     """Compare two variants, seed by seed: differences with 95 % intervals, in words, and whether the seeds do."""
-    from analysis.compare import HEADLINES, in_words, select_runs, table_rows, variant_names
+    from analysis.compare import HEADLINES, in_words, select_runs, split_choice, table_rows, variant_names
     from analysis.compare import compare as compare_runs
+    from analysis.damage import readable
     from analysis.measures import MEASURES
     from parking_sim.terminal import print_table
 
@@ -75,7 +76,8 @@ def compare(
     if figure is not None and figure.suffix not in (".svg", ".png"):
         raise InputError(f"--figure: {figure}: give a file name that ends with .svg or .png")
     names = variant_names(a, b)
-    found = compare_runs(select_runs(a), select_runs(b), names, 60 * warmup, measure or HEADLINES)
+    with readable(Path(split_choice(a)[0])), readable(Path(split_choice(b)[0])):
+        found = compare_runs(select_runs(a), select_runs(b), names, 60 * warmup, measure or HEADLINES)
     print_table(table_rows(found), f"{names[1]} against {names[0]}, {len(found.seeds)} seeds")
     for line in in_words(found):
         print(line)

@@ -113,7 +113,6 @@ def tune_scenario(
     for end in ("low", "high"):  # what does not fit is seen before anything is written
         ends = {key: getattr(span, end) for key, span in ranges.items()}
         assemble(scenario_with({key: int(value) if ranges[key].whole else value for key, value in ends.items()}))
-    open_folder(folder)
     all_specs: list[RunSpec] = []
     settings: list[Setting] = []
 
@@ -129,7 +128,8 @@ def tune_scenario(
     study = optuna.create_study(
         direction="minimize" if lower else "maximize", sampler=optuna.samplers.TPESampler(seed=0)
     )
-    study.optimize(objective, n_trials=trials)
+    with open_folder(folder):
+        study.optimize(objective, n_trials=trials)
     return sorted(settings, key=lambda setting: setting.mean.mean if lower else -setting.mean.mean)
 
 

@@ -11,6 +11,7 @@ from sumo_nets.bodies import AGV_LENGTH_M, AGV_WIDTH_M, standing_bodies
 from sumo_nets.graph import FloatArray, Role
 from sumo_nets.numbering import Vertex, numbered
 from sumo_nets.read import GarageNet
+from sumo_nets.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,7 +74,8 @@ def draw_net(garage: GarageNet, path: str | Path) -> None:
     # a fixed salt and no date: the same net gives the same bytes
     with rc_context({"svg.hashsalt": garage.name, "svg.fonttype": "none"}):
         metadata = {"Date": None} if target.suffix == ".svg" else {"Software": None}
-        figure.savefig(target, dpi=dots, metadata=metadata)
+        with whole_file(target) as part:
+            figure.savefig(part, dpi=dots, metadata=metadata)
 
 
 def _bounds(garage: GarageNet, streets: list[FloatArray]) -> tuple[FloatArray, FloatArray]:

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from test_analysis_runs import synthetic_meta, synthetic_recorder
 
-from analysis.metrics import METRICS, run_metrics, share_within, write_metrics
+from analysis.metrics import METRICS, run_metrics, share_within
 from analysis.record import AgvRow, PlanningRow, Recorder, TaskRow
-from analysis.tables import recorded_run
+from analysis.tables import load_run, recorded_run
 from analysis.turned_away import TurnedAway, turned_away, turned_away_words
 
 META = {
@@ -207,8 +207,8 @@ def test_turned_away_in_words() -> None:
 
 
 def test_empty_record_has_all_keys_and_writes_null(tmp_path: Path) -> None:
-    Recorder().write(tmp_path, {})
-    metrics = write_metrics(tmp_path)
+    metrics = run_metrics(recorded_run(Recorder(), {}))
+    Recorder().write(tmp_path, {}, metrics)
     assert list(metrics) == list(METRICS)
     written = json.loads((tmp_path / "metrics.json").read_text())
     assert written["retrieval_wait_p95_s"] is None
@@ -218,8 +218,11 @@ def test_empty_record_has_all_keys_and_writes_null(tmp_path: Path) -> None:
 
 def test_metrics_of_a_written_run_equal_those_of_its_recorder(tmp_path: Path) -> None:
     recorder, meta = synthetic_recorder(hours=0.3), synthetic_meta(0.3)
-    recorder.write(tmp_path, meta)
-    assert write_metrics(tmp_path) == pytest.approx(run_metrics(recorded_run(recorder, meta)), nan_ok=True)
+    metrics = run_metrics(recorded_run(recorder, meta))
+    recorder.write(tmp_path, meta, metrics)
+    assert run_metrics(load_run(tmp_path)) == pytest.approx(metrics, nan_ok=True)
+    written = json.loads((tmp_path / "metrics.json").read_text())
+    assert {k: math.nan if v is None else v for k, v in written.items()} == pytest.approx(metrics, nan_ok=True)
 
 
 def test_every_metric_says_its_unit_and_meaning() -> None:

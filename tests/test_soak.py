@@ -68,8 +68,8 @@ class _Here:
 
 
 def test_pieces_draw_all_planners_and_shapes():
-    drawn = [soak.piece("discrete", number) for number in range(150)]
-    assert {p["planner"] for p in drawn} == set(soak.PLANNERS)
+    drawn = [soak.piece("discrete", number) for number in range(400)]
+    assert {p["planner"] for p in drawn} == set(soak.PLANNERS["discrete"])
     assert {p["garage"].split()[0] for p in drawn} == {"map1", "map2", "map3", "random"}
     assert {p["workload"]["kind"] for p in drawn} == {"poisson", "bursts"}
 

@@ -154,12 +154,12 @@ def test_what_sumo_says_is_a_failure_in_plain_words(tmp_path: Path, monkeypatch:
 
 def test_a_partial_record_is_no_record(tmp_path: Path, done: Path) -> None:
     specs = specs_of(tmp_path)
-    open_folder(tmp_path / "out")
+    open_folder(tmp_path / "out").release()
     (tmp_path / "out" / "sweep.json").write_text("{}")
     part = tmp_path / "out" / "runs" / f"{specs[0].key}.part-host-1"
     part.mkdir()
     (part / "events.parquet").write_text("half")
-    open_folder(tmp_path / "out")
+    open_folder(tmp_path / "out").release()
     assert not part.exists()
 
 
@@ -351,6 +351,6 @@ def test_the_command(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
 
 
 def test_run_missing_says_which_failed(tmp_path: Path) -> None:
-    open_folder(tmp_path / "out")
+    open_folder(tmp_path / "out").release()
     specs = specs_of(tmp_path, SWEEP.replace("[1, 2]", "[99]"))
     assert [f.spec for f in run_missing(specs, tmp_path / "out", Here())] == list(specs)

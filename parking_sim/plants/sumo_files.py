@@ -10,6 +10,7 @@ from xml.sax.saxutils import quoteattr
 from controller.types import AgvNumber, RequestNumber
 from parking_sim.plants.sumo_agv import AgvType
 from sumo_nets.numbering import Numbered, numbered
+from sumo_nets.whole_file import write_whole
 
 if TYPE_CHECKING:
     from sumo_nets.read import GarageNet
@@ -64,7 +65,7 @@ def write_run(
             f'        <route edges={quoteattr(edge)}/>\n        <stop lane={quoteattr(edge + "_0")} duration="1e9"/>\n'
             "    </vehicle>"
         )
-    (folder / "agvs.rou.xml").write_text("\n".join([*lines, "</routes>\n"]), encoding="utf-8")
+    write_whole(folder / "agvs.rou.xml", "\n".join([*lines, "</routes>\n"]))
     options = {
         "net-file": _relative(garage.net_file, folder),
         "additional-files": _relative(garage.additional_file, folder),
@@ -80,7 +81,7 @@ def write_run(
     }
     rows = "".join(f"    <{key} value={quoteattr(value)}/>\n" for key, value in options.items())
     config = folder / "run.sumocfg"
-    config.write_text(f"<configuration>\n{rows}</configuration>\n", encoding="utf-8")
+    write_whole(config, f"<configuration>\n{rows}</configuration>\n")
     return config
 
 

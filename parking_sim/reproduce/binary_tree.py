@@ -26,6 +26,7 @@ from sumo_nets.floors import ForkFloor, one_way_lattice
 from sumo_nets.graph import Graph
 from sumo_nets.numbering import Vertex
 from sumo_nets.read import read_net
+from sumo_nets.whole_file import whole_file
 
 FULL_QUERIES, QUICK_QUERIES, TEN = 1000, 150, 10
 FORK, LATTICE = "fork floor", "lattice 18 x 12"
@@ -186,7 +187,8 @@ def draw(queries: pd.DataFrame, fork: Graph, path: Path) -> None:
             spread.step(detours, np.arange(1, len(rows) + 1) / len(rows), where="post", color=colour, label=str(name))
         spread.set(xscale="log", xlabel="route / shortest route", ylabel="share of queries", ylim=(0, 1.02))
         spread.legend()
-        figure.savefig(path, metadata={"Date": None})
+        with whole_file(path) as part:
+            figure.savefig(part, metadata={"Date": None})
 
 
 def _example(tree: BinaryTree) -> tuple[Route, Route]:

@@ -13,6 +13,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from sumo_nets.errors import InputError
+from sumo_nets.whole_file import whole_file, write_whole
 
 _HEADINGS = ("figure", "paper", "ours", "95 % interval", "claim holds")
 
@@ -87,11 +88,11 @@ def write_findings(findings: Sequence[Finding], folder: Path, name: str, full: b
         name: name of the files.
         full: they are of the full form.
     """
-    with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+    with whole_file(folder / f"{name}.csv") as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(_HEADINGS)
         writer.writerows(finding.cells(full) for finding in findings)
-    (folder / f"{name}.md").write_text(findings_table(findings, full), encoding="utf-8")
+    write_whole(folder / f"{name}.md", findings_table(findings, full))
 
 
 def make_folder(folder: Path) -> None:

@@ -19,6 +19,7 @@ from parking_sim.reproduce.one_line_robots import Setting, drive
 from parking_sim.reproduce.published import published
 from parking_sim.reproduce.statistics import is_less, is_most, wilson
 from parking_sim.workers import open_executor
+from sumo_nets.whole_file import whole_file
 
 REPEATS = 3
 #: Round trips and seeds of each form.
@@ -168,4 +169,5 @@ def draw(runs: pd.DataFrame, setting: Setting, path: Path) -> None:
         axes.set(xticks=x, xticklabels=names, xlabel="robot, first in the file to last", ylim=(0, 21))
         axes.set_title(f"arrivals of {2 * setting.round_trips} (paper: of 20)")
         axes.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.06))
-        figure.savefig(path, metadata={"Date": None})
+        with whole_file(path) as part:
+            figure.savefig(part, metadata={"Date": None})

@@ -24,6 +24,7 @@ from sumo_nets.freespace.rrt_grid import rrt_grid
 from sumo_nets.freespace.scenes import CATEGORIES, GOAL, START, scenes
 from sumo_nets.freespace.visibility import VisibilityGraph
 from sumo_nets.graph import FloatArray
+from sumo_nets.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -215,7 +216,8 @@ def draw_ratios(runs: pd.DataFrame, path: Path) -> None:
         figure.axes[0].set_ylim(0.6, 1.05)
         figure.axes[1].set_yscale("log")
         figure.axes[0].legend(ncols=4, loc="upper center", bbox_to_anchor=(0.5, 1.25))
-        figure.savefig(path, metadata={"Date": None})
+        with whole_file(path) as part:
+            figure.savefig(part, metadata={"Date": None})
 
 
 def _bars(axes: Axes, runs: pd.DataFrame, name: str, column: str, k: int, colour: str) -> None:
@@ -249,4 +251,5 @@ def draw_paths(paths: Mapping[tuple[int, int], Mapping[str, FloatArray]], path: 
         for row, (name, _, _) in zip(grid, CATEGORIES, strict=True):
             row[0].set_ylabel(name)
         figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
-        figure.savefig(path, metadata={"Date": None})
+        with whole_file(path) as part:
+            figure.savefig(part, metadata={"Date": None})

@@ -21,6 +21,7 @@ from parking_sim.reproduce.thesis_runs import (
     table_cases,
 )
 from parking_sim.reproduce.thesis_tables import draw, legend, metric_table, program_table, slips_table
+from sumo_nets.whole_file import whole_file, write_whole
 
 #: Metrics of park and fetch.
 MORE_METRICS = ("completion", "conflicts", "throughput", "steps", "nodes_expanded", "bound_share")
@@ -55,8 +56,9 @@ def reproduce(folder: Path, full: bool, workers: int = 2) -> None:
     findings = [*claims(rows), *best_planners(seeded)]
     write_findings(findings, folder, "thesis", full)
     text += findings_table(findings, full)
-    (folder / "thesis.md").write_text(f"{legend()}\n{text}", encoding="utf-8")
+    write_whole(folder / "thesis.md", f"{legend()}\n{text}")
     for metric in METRICS:
-        draw(rows, metric).savefig(folder / f"thesis-{metric}.svg", metadata={"Date": None})
+        with whole_file(folder / f"thesis-{metric}.svg") as part:
+            draw(rows, metric).savefig(part, metadata={"Date": None})
     print(text, end="")
     print(f"tables and figures: {folder}")

@@ -25,6 +25,7 @@ from parking_sim.reproduce.published import published
 from parking_sim.reproduce.statistics import fewer, is_less, wilson
 from parking_sim.workers import open_executor
 from sumo_nets.graph import FloatArray
+from sumo_nets.whole_file import whole_file
 
 GENERATIONS = 1000
 #: Instances for each number of robots, and seconds that CBS has for one.
@@ -211,4 +212,5 @@ def draw(runs: pd.DataFrame, histories: Mapping[str, FloatArray], path: Path) ->
             axes.set(title=f"{title}, {TIMED_ROBOTS} robots", xlabel="generation")
             if k < 2:
                 axes.set_yscale("symlog", linthresh=0.1)
-        figure.savefig(path, metadata={"Date": None})
+        with whole_file(path) as part:
+            figure.savefig(part, metadata={"Date": None})

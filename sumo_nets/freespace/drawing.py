@@ -13,6 +13,7 @@ from sumo_nets.freespace.trace import Tracing
 from sumo_nets.generate import layout_yaml
 from sumo_nets.graph import FloatArray, Role
 from sumo_nets.plan import GaragePlan, plan_garage
+from sumo_nets.whole_file import whole_file
 
 _WALL, _BOX, _LANE, _PATH = "#3b4252", "#e8ebf1", "#2f4b7c", "#d1495b"
 _COLOURS: dict[Role, str] = {"slot": "#c9d3e3", "bay": "#f2a541", "home": "#66a182", "charger": "#f7e05e"}
@@ -82,7 +83,8 @@ def draw_tracing(tracing: Tracing, plan: FloorPlan, walls: Floor, path: Path) ->
     for k, guide in enumerate(tracing.guide_paths):
         axes.plot(*guide.points.T, color=_PATH, linewidth=2, zorder=2.5, label=None if k else "guide path")
     axes.legend(ncols=5, loc="upper center", bbox_to_anchor=(0.5, -0.06), frameon=False)
-    figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+    with whole_file(path) as part:
+        figure.savefig(part, metadata={"Date": None} if path.suffix == ".svg" else None)
 
 
 def _lanes(garage: GaragePlan, origin: Point) -> Iterator[FloatArray]:

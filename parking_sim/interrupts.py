@@ -1,0 +1,42 @@
+"""A process that is told to end, or whose terminal is closed, ends its work as by Ctrl-C."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+#: Signals that end a process politely, besides that of Ctrl-C.
+_ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+class StoppedInterrupt(KeyboardInterrupt):
+    """A signal has asked the process to end."""
+
+    def __init__(self, number: int) -> None:
+        """Keep the signal's number."""
+        super().__init__()
+        self.exit_code = 128 + number
+
+
+@contextmanager
+def ended_like_by_ctrl_c() -> Iterator[None]:
+    """Within, SIGTERM and SIGHUP raise what Ctrl-C raises, so that a run is ended with its record so far.
+
+    A second one ends the writing of the record, too: the run's journal is left, and the run can be resumed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        raise StoppedInterrupt(number)
+
+    before = {number: signal.signal(number, stop) for number in _ENDING}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
