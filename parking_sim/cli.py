@@ -21,7 +21,7 @@ import typer
 from parking_sim import gate_logs, planner_check, routes, studies
 from parking_sim.command_groups import Grouped
 from parking_sim.errors import RunFailedError
-from parking_sim.interrupts import StoppedInterrupt, ended_like_by_ctrl_c
+from parking_sim.interrupts import ended_like_by_ctrl_c
 from parking_sim.reproduce import app as reproduce_app
 from parking_sim.shadowing import require_own_packages
 from sumo_nets.errors import InputError
@@ -99,18 +99,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     usage_error = cast(type[Exception], typer.BadParameter.__bases__[0])
+    came: list[int] = []
     try:
         if "doctor" not in words:  # which tells of hidden packages among all else
             require_own_packages()
-        with ended_like_by_ctrl_c():
+        with ended_like_by_ctrl_c() as came:
             code = app(words, prog_name=app.info.name, standalone_mode=False) or 0
         sys.stdout.flush()
     except usage_error as error:
         _complain(_usage(error))
         code = BAD_INPUT
-    except (KeyboardInterrupt, typer.Abort) as error:
+    except (KeyboardInterrupt, typer.Abort):
         print("interrupted", file=sys.stderr)
-        code = error.exit_code if isinstance(error, StoppedInterrupt) else INTERRUPTED
+        code = INTERRUPTED
     except InputError as error:
         _complain(str(error))
         code = BAD_INPUT
@@ -123,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except OSError as error:
         _complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
         code = UNFINISHED
-    raise SystemExit(code)
+    raise SystemExit(128 + came[0] if came and code == INTERRUPTED else code)
 
 
 @app.command()

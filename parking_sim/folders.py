@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from contextlib import suppress
 from pathlib import Path
@@ -66,7 +67,7 @@ def check_path(folder: Path) -> None:
     Raises:
         InputError: it doesn't.
     """
-    if found := next((c for c in str(folder.resolve()) if c in _UNREADABLE), None):
+    if found := next((c for c in os.path.realpath(folder) if c in _UNREADABLE), None):
         raise InputError(f"--out: {folder}: {_UNREADABLE[found]}; give a folder without one")
 
 

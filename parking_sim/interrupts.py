@@ -12,31 +12,27 @@ from types import FrameType
 _ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
-class StoppedInterrupt(KeyboardInterrupt):
-    """A signal has asked the process to end."""
-
-    def __init__(self, number: int) -> None:
-        """Keep the signal's number."""
-        super().__init__()
-        self.exit_code = 128 + number
-
-
 @contextmanager
-def ended_like_by_ctrl_c() -> Iterator[None]:
+def ended_like_by_ctrl_c() -> Iterator[list[int]]:
     """Within, SIGTERM and SIGHUP raise what Ctrl-C raises, so that a run is ended with its record so far.
 
     A second one ends the writing of the record, too: the run's journal is left, and the run can be resumed.
+
+    Yields:
+        The numbers of the signals that have come.
     """
+    came: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield came
         return
 
     def stop(number: int, _frame: FrameType | None) -> None:
-        raise StoppedInterrupt(number)
+        came.append(number)
+        raise KeyboardInterrupt
 
     before = {number: signal.signal(number, stop) for number in _ENDING}
     try:
-        yield
+        yield came
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

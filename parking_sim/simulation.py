@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -16,6 +18,7 @@ require_own_packages()  # before a file of the user's own can be taken for one o
 
 from analysis.journal import FLUSH_S, Journal
 from analysis.record import AgvRow, PlanningRow, Recorder
+from analysis.run_files import JOURNAL
 from controller.events import Event, EventKind
 from controller.faults import REPORTED, FaultReport
 from controller.garage import Task
@@ -500,6 +503,8 @@ class RunLoop:
             meta["witnesses"] = witnesses(recorded_run(self.recorder, meta), out)
         metrics = run_metrics(recorded_run(self.recorder, meta))
         if out is not None:
+            if not (out / JOURNAL).is_file():
+                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(out / JOURNAL))
             self.recorder.write(out, meta, metrics)
             if self.journal is not None:
                 self.journal.close(finished=True)

@@ -1,0 +1,247 @@
+"""The folder of a run: one run at a time, only its own files are touched, and a killed run leaves it readable."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import parking_sim as ps
+from analysis.run_files import JOURNAL, RUN_FILE, did_not_end
+from analysis.tables import load_run
+from parking_sim.cli import main
+from parking_sim.folder_lock import FolderLock
+from parking_sim.simulation import RunLoop
+
+BARE = ("--no-report", "-q")
+SHORT = "{garage: map1, agvs: 2, plant: discrete, duration_s: 20, record: {replay: false}}"
+LONG = "{garage: map1_thesis, agvs: 4, plant: discrete, workload: {kind: park_exit}, record: {replay: false}}"
+
+
+def command(*words: object) -> int:
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    return int(end.value.code or 0)
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    path = tmp_path / "short.yaml"
+    path.write_text(SHORT)
+    return path
+
+
+@pytest.fixture
+def long(tmp_path: Path) -> Path:
+    path = tmp_path / "long.yaml"
+    path.write_text(LONG)
+    return path
+
+
+def digest(folder: Path) -> object:
+    return json.loads((folder / RUN_FILE).read_text())["digest"]
+
+
+@pytest.mark.parametrize("words", [["run", "short.yaml"], ["run", "short.yaml", "--force"], ["sweep", "sweep.yaml"]])
+def test_a_folder_that_is_being_written_is_left_alone(tmp_path, short, monkeypatch, capsys, words) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("sweep.yaml").write_text("{base: short.yaml, seeds: [1]}")
+    Path("out").mkdir()
+    with FolderLock(Path("out")):
+        assert command(*words, "--out", "out", *BARE) == 2
+    says = "--out: out: a run is being written there now; wait until it has ended, or give another folder"
+    assert capsys.readouterr().err == f"error: {says}\n"
+    assert [path.name for path in Path("out").iterdir() if path.name != "runs"] == []
+    assert command(*words, "--out", "out", *BARE) == 0
+
+
+def test_the_lock_dies_with_its_process(tmp_path: Path) -> None:
+    if os.fork() == 0:
+        lock = FolderLock(tmp_path)
+        os._exit(0 if lock else 1)
+    os.wait()
+    FolderLock(tmp_path).release()
+
+
+def test_force_removes_what_a_run_wrote_and_nothing_else(tmp_path, short) -> None:
+    """Among what a run does not write: files with the endings of those that it writes."""
+    out = tmp_path / "out"
+    shutil.copy(Path(ps.__file__).parent / "examples" / "own_planner.py", tmp_path / "mine.py")
+    (tmp_path / "own.yaml").write_text(SHORT.replace("agvs", "planner: mine.py:plan, agvs", 1))
+    assert command("run", tmp_path / "own.yaml", "--out", out, *BARE) == 0
+    own = ("notes.json", "plan.svg", "photo.png", "other.yaml", "my.parquet", "inputs/my.csv", "pages/report.html")
+    (out / "pages").mkdir()
+    for name in own:
+        (out / name).write_text("mine")
+    assert (out / "inputs" / "mine.py").is_file()
+    assert command("run", short, "--out", out, "--force", *BARE) == 0
+    assert [(out / name).read_text() for name in own] == ["mine"] * len(own)
+    assert not (out / "inputs" / "mine.py").exists()
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_a_signal_ends_a_run_with_its_record(tmp_path, long, number, code) -> None:
+    out = tmp_path / "out"
+    words = [sys.executable, "-m", "parking_sim", "run", str(long), "--out", str(out), *BARE]
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    while process.poll() is None and not ((out / JOURNAL).is_file() and (out / JOURNAL).stat().st_size > 10_000):
+        time.sleep(0.01)
+    process.send_signal(number)
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == code
+    assert "Traceback" not in said
+    assert load_run(out).meta["status"] == "interrupted"
+    assert not did_not_end(out)
+
+
+def test_a_second_ctrl_c_leaves_a_run_that_can_be_resumed(tmp_path, long, monkeypatch) -> None:
+    out = tmp_path / "out"
+
+    def stopped(self: RunLoop) -> None:
+        if self.step >= 600:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(RunLoop, "_tell", stopped)
+    monkeypatch.setattr(RunLoop, "finish", lambda self, _status: stopped(self))
+    assert command("run", long, "--out", out, *BARE) == 130
+    assert did_not_end(out)
+    assert load_run(out).meta["status"] == "killed"
+    monkeypatch.undo()
+    assert command("resume", out, *BARE) == 0
+    assert load_run(out).meta["status"] == "finished"
+
+
+def dies_at_rename(number: int, *words: object) -> bool:
+    """Whether a forked process that runs a command has died at its so manieth rename of a file; else it has ended."""
+    child = os.fork()
+    if child == 0:
+        rename, count = Path.replace, 0
+
+        def dying(path: Path, target: Path) -> Path:
+            nonlocal count
+            if count == number:
+                os._exit(99)
+            count += 1
+            return rename(path, target)
+
+        Path.replace = dying  # type: ignore[method-assign, assignment]
+        try:
+            main([str(word) for word in words])
+        except SystemExit as end:
+            os._exit(int(end.code or 0))
+        os._exit(98)
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert status in (0, 99)
+    return status == 99
+
+
+def test_a_run_that_dies_at_any_file_is_read_and_goes_on(tmp_path, short, capsys) -> None:
+    """Each file of the record in turn is the one at which the process dies."""
+    assert command("run", short, "--out", tmp_path / "whole", *BARE) == 0
+    wanted = digest(tmp_path / "whole")
+    number, out = 0, tmp_path / "out"
+    while dies_at_rename(number, "run", short, "--out", out, *BARE):
+        assert did_not_end(out), number
+        assert load_run(out).meta["status"] == "killed"
+        assert command("explain", out) == 0
+        assert command("run", short, "--out", out, *BARE) == 2
+        assert f"go on with it: parking-sim resume {out}" in capsys.readouterr().err
+        code = command("resume", out, *BARE)
+        if not number:  # before it was written what to run
+            assert code == 2
+            assert "run its scenario again with --force" in capsys.readouterr().err
+            assert command("run", short, "--out", out, "--force", *BARE) == 0
+        assert digest(out) == wanted, number
+        assert (out / "metrics.json").is_file()
+        shutil.rmtree(out)
+        number += 1
+    assert number == 13, "scenario, ten tables, metrics, run.json"
+
+
+def test_a_replacement_that_dies_at_any_removal_can_be_repeated(tmp_path, short, monkeypatch) -> None:
+    out = tmp_path / "out"
+    number, unlink = 0, Path.unlink
+
+    class DeadError(BaseException):
+        pass
+
+    while True:
+        left = number
+
+        def dying(path: Path, missing_ok: bool = False) -> None:
+            nonlocal left
+            if path.parent == out and path.exists():
+                if not left:
+                    raise DeadError
+                left -= 1
+            unlink(path, missing_ok)
+
+        shutil.rmtree(out, ignore_errors=True)
+        assert command("run", short, "--out", out, *BARE) == 0
+        with monkeypatch.context() as patched:
+            patched.setattr(Path, "unlink", dying)
+            try:
+                main(["run", str(short), "--out", str(out), "--force", *BARE])
+            except DeadError:
+                pass
+            except SystemExit:
+                break
+        assert command("run", short, "--out", out, "--force", *BARE) == 0, number
+        number += 1
+    assert number > 13
+
+
+def test_a_disk_that_is_full_is_told_in_one_line_and_the_record_so_far_is_read(tmp_path, long) -> None:
+    """A limit on the size of files, which the journal meets while the run lasts."""
+    out = tmp_path / "out"
+    words = [sys.executable, "-m", "parking_sim", "run", str(long), "--out", str(out), *BARE]
+    small = (60_000, 60_000)
+    ended = subprocess.run(
+        words, stderr=subprocess.PIPE, text=True, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, small)
+    )
+    assert ended.returncode == 1
+    assert ended.stderr.count("\n") == 1
+    assert ended.stderr.startswith(f"error: {out}")
+    assert "File too large; what is recorded so far can be read" in ended.stderr
+    assert load_run(out).meta["status"] == "killed"
+    assert command("resume", out, *BARE) == 0
+
+
+def test_a_folder_that_goes_while_a_run_lasts_is_told_in_one_line(tmp_path, long, monkeypatch, capsys) -> None:
+    out = tmp_path / "out"
+
+    def gone(self: RunLoop) -> None:
+        shutil.rmtree(out, ignore_errors=True)
+
+    monkeypatch.setattr(RunLoop, "_tell", gone)
+    assert command("run", long, "--out", out, *BARE) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "No such file or directory; what is recorded so far can be read" in said
+
+
+@pytest.mark.parametrize("name", ["a b", "ä ö", "-x", "x" * 200, "$HOME", "a'b", "run.json", "  ", "[1]*?"])
+def test_odd_names_of_folders(tmp_path, short, monkeypatch, name) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert command("run", short, f"--out={name}", *BARE) == 0
+    assert command("explain", f"./{name}") == 0
+    assert load_run(name).meta["status"] == "time_limit"
+
+
+def test_folders_that_cant_be_used_are_named(tmp_path, short, capsys) -> None:
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    for name in ("file", "file/within", "loop", "loop/within", "x" * 300):
+        assert command("run", short, "--out", tmp_path / name, *BARE) == 2, name
+        said = capsys.readouterr().err
+        assert said.startswith(f"error: --out: {tmp_path / name}"), said
+        assert said.count("\n") == 1
+    assert (tmp_path / "file").read_text() == "mine"
