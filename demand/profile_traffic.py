@@ -12,7 +12,7 @@ from demand.poisson import Stays, demand_of
 from demand.profiles import PROFILES, Floats, Profile, find_profile
 from demand.types import Demand, Workload, stream
 from sumo_nets.errors import InputError
-from sumo_nets.wording import one_of
+from sumo_nets.wording import one_of, shown
 
 
 class ProfileTraffic(Workload):
@@ -38,7 +38,7 @@ class ProfileTraffic(Workload):
     @model_validator(mode="after")
     def _known(self) -> Self:
         if self.name not in PROFILES and not self.name.endswith((".yaml", ".yml")):
-            raise ValueError(f"name: {self.name!r}: {one_of(PROFILES)}, or a file (.yaml)")
+            raise ValueError(f"name: {shown(self.name)}: {one_of(PROFILES)}, or a file (.yaml)")
         return self
 
     def demand(self, slots: int, seed: int, base_dir: Path) -> Demand:

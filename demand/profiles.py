@@ -27,10 +27,10 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from sumo_nets.errors import InputError
-from sumo_nets.fields import first_error
+from sumo_nets.errors import InputError, in_lines
+from sumo_nets.fields import all_errors
 from sumo_nets.whole_file import write_whole
-from sumo_nets.wording import one_of
+from sumo_nets.wording import one_of, shown
 from sumo_nets.yaml_file import YamlError, read_mapping
 
 Floats = NDArray[np.float64]
@@ -268,11 +268,11 @@ def find_profile(name: str, base_dir: Path = Path()) -> Profile:
         return PROFILES[name]
     path = base_dir / name
     if path.suffix not in (".yaml", ".yml"):
-        raise InputError(f"profile: {name!r}: {one_of(PROFILES)}, or a file (.yaml)")
+        raise InputError(f"profile: {shown(name)}: {one_of(PROFILES)}, or a file (.yaml)")
     try:
         return Profile.model_validate(read_mapping(path, "words: offices of a city"))
     except ValidationError as error:
-        raise InputError(f"{path}: {first_error(error, Profile)}") from None
+        raise InputError(in_lines([f"{path}: {wrong}" for wrong in all_errors(error, Profile)])) from None
     except YamlError as error:
         raise InputError(f"{path}: {error}") from None
 

@@ -473,7 +473,8 @@ def _usage(error: Exception) -> str:
 
 
 def _complain(message: str) -> None:
-    print("error:", " ".join(message.split()), file=sys.stderr)
+    for line in message.splitlines() or [""]:
+        print("error:", " ".join(line.split()), file=sys.stderr)
 
 
 @contextmanager

@@ -13,10 +13,11 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError,
 from demand.park_exit import ParkExit
 from demand.workloads import WorkloadConfig
 from parking_sim.fault_config import FaultConfig
-from sumo_nets.errors import InputError
-from sumo_nets.fields import first_error
+from sumo_nets.errors import InputError, in_lines
+from sumo_nets.fields import all_errors
+from sumo_nets.input_file import is_file
 from sumo_nets.read import shipped_nets
-from sumo_nets.wording import one_of
+from sumo_nets.wording import one_of, shown
 from sumo_nets.yaml_file import YamlError, read_mapping
 
 #: AGVs of the shipped garages when nothing else is said.
@@ -290,7 +291,7 @@ class Scenario(_Options):
         A relative path counts from the scenario's folder, or else from the working directory.
         """
         beside = self.base_dir / self.planner
-        return str(beside) if Path(str(beside).rpartition(":")[0]).is_file() else self.planner
+        return str(beside) if is_file(Path(str(beside).rpartition(":")[0])) else self.planner
 
 
 def load_scenario(source: str | Path, overrides: Mapping[str, object] | None = None) -> Scenario:
@@ -379,14 +380,19 @@ def _validate(data: dict[str, object], overrides: Mapping[str, object], source: 
     try:
         scenario = Scenario.model_validate({**data, **overrides})
     except ValidationError as error:
-        wrong = first_error(error, Scenario)
-        if re.split(r"[.:\[]", wrong, maxsplit=1)[0] in overrides:
-            source = "command line"
-        raise InputError(f"{source}: {wrong}") from None
+        told = [_from_where(wrong, overrides, source) for wrong in all_errors(error, Scenario)]
+        raise InputError(in_lines(told)) from None
     scenario._base_dir = base_dir
-    for key, unknown in unknown_names(scenario):
-        raise InputError(f"{'command line' if key in overrides else source}: {key}: {unknown}")
+    unknown = [_from_where(f"{key}: {what}", overrides, source) for key, what in unknown_names(scenario)]
+    if unknown:
+        raise InputError(in_lines(unknown))
     return scenario
+
+
+def _from_where(wrong: str, overrides: Mapping[str, object], source: str) -> str:
+    """A complaint with where its field was given."""
+    given = re.split(r"[.:\[]", wrong, maxsplit=1)[0] in overrides
+    return f"{'command line' if given else source}: {wrong}"
 
 
 def unknown_names(scenario: Scenario) -> Iterator[tuple[str, str]]:
@@ -404,18 +410,18 @@ def unknown_names(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
     if ":" in scenario.planner:
         path = Path(scenario.planner_source.rpartition(":")[0])
-        if not path.is_file():
-            yield "planner", f"{scenario.planner!r}: no such file; give file.py:function"
+        if not is_file(path):
+            yield "planner", f"{shown(scenario.planner)}: no such file; give file.py:function"
     elif scenario.planner not in PLANNERS:
-        yield "planner", f"{scenario.planner!r}: {one_of(PLANNERS)}, or file.py:function"
+        yield "planner", f"{shown(scenario.planner)}: {one_of(PLANNERS)}, or file.py:function"
     for key, value, table in (
         ("dispatch", scenario.dispatch, DISPATCH),
         ("rules", scenario.rules, RULE_SETS),
     ):
         if value not in table:
-            yield key, f"{value!r}: {one_of(table)}"
+            yield key, f"{shown(value)}: {one_of(table)}"
     if not scenario.garage.endswith(NET_SUFFIXES):
         if scenario.garage not in shipped_nets():
-            yield "garage", f"{scenario.garage!r}: {one_of(shipped_nets())}, or a file (.net.xml.gz)"
-    elif not Path(scenario.garage_source).is_file():
-        yield "garage", f"{scenario.garage!r}: no such file"
+            yield "garage", f"{shown(scenario.garage)}: {one_of(shipped_nets())}, or a file (.net.xml.gz)"
+    elif not is_file(Path(scenario.garage_source)):
+        yield "garage", f"{shown(scenario.garage)}: no such file"

@@ -19,9 +19,13 @@ import yaml
 from analysis.run_files import INPUTS, SCENARIO_FILE
 from parking_sim.config import NET_SUFFIXES, Scenario, read_yaml
 from sumo_nets.errors import InputError
+from sumo_nets.input_file import MEGABYTE, read_bytes
 from sumo_nets.read import net_files
 from sumo_nets.whole_file import write_whole
 from sumo_nets.wording import cut, shown
+
+#: Bytes of a file that a scenario names.
+_MOST_BYTES = 100 * MEGABYTE
 
 
 @dataclass(frozen=True)
@@ -129,7 +133,7 @@ def kept_net(scenario: Scenario, folder: Path) -> tuple[Path, Path]:
 
 def _content(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return read_bytes(path, _MOST_BYTES)
     except OSError as error:
         raise InputError(f"{path}: can't be read: {error.strerror}") from None
 

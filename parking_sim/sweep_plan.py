@@ -13,6 +13,7 @@ import copy
 import hashlib
 import itertools
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,6 +25,8 @@ from parking_sim.config import Scenario, check_scenario, read_yaml, scenario_key
 from parking_sim.inputs import read_inputs
 from parking_sim.versions import code_version
 from sumo_nets.errors import InputError
+from sumo_nets.input_file import is_file
+from sumo_nets.wording import shown
 
 #: Key of a sweep file -> (what it holds, meaning).
 KEYS = {
@@ -32,7 +35,9 @@ KEYS = {
     "list": ("list of mappings", "variants, each with every point of the grid; `name` is a variant's name"),
     "seeds": ("number, list, or text such as `1..5, 9`", "seeds of every variant; default: 1"),
 }
-_RANGE = re.compile(r"(\d+)(?:\.\.(\d+))?")
+_RANGE = re.compile(r"(\d{1,12})(?:\.\.(\d{1,12}))?")
+#: Runs of a sweep at most: more would take years, and days to lay out.
+_MOST_RUNS = 100_000
 
 
 @dataclass(frozen=True)
@@ -71,8 +76,8 @@ def load_sweep(path: Path) -> tuple[RunSpec, ...]:
     base, base_dir = _base(data["base"], path)
     seeds = parse_seeds(data.get("seeds", "1"), f"{path}: seeds")
     variants, scenarios = [], []
-    for shown, values in _points(data, path):
-        variants.append(variant_of(shown))
+    for short, values in _points(data, path, len(seeds)):
+        variants.append(variant_of(short))
         keys = set_keys(base, values, str(path))
         scenarios.append(check_scenario(keys, f"{path}: {variants[-1].name}", base_dir))
     _check_differ(variants, scenarios, path)
@@ -114,11 +119,13 @@ def parse_seeds(value: object, where: str = "seeds") -> tuple[int, ...]:
     """
     parts = [str(part) for part in value] if isinstance(value, list) else str(value).split(",")
     seeds: list[int] = []
-    for part in parts:
+    for part in parts[: _MOST_RUNS + 1]:
         match = _RANGE.fullmatch(part.strip())
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if not first <= last < 2**31:
-            raise InputError(f"{where}: {value!r}: give seeds such as 1..50, 7 or [1, 2, 3]")
+            raise InputError(f"{where}: {shown(value)}: give seeds such as 1..50, 7 or [1, 2, 3]")
+        if len(seeds) + last + 1 - first > _MOST_RUNS:
+            raise InputError(f"{where}: {shown(value)}: give at most {_MOST_RUNS} seeds")
         seeds.extend(range(first, last + 1))
     return tuple(dict.fromkeys(seeds))
 
@@ -153,9 +160,11 @@ def _base(given: object, path: Path) -> tuple[dict[str, object], Path]:
     if isinstance(given, dict):
         return given, path.parent.resolve()
     if not isinstance(given, str):
-        raise InputError(f"{path}: base: {given!r}: give a shipped garage, a scenario file, or the keys of a scenario")
+        raise InputError(
+            f"{path}: base: {shown(given)}: give a shipped garage, a scenario file, or the keys of a scenario"
+        )
     beside = path.parent / given
-    keys, folder = scenario_keys(beside if beside.is_file() else given)
+    keys, folder = scenario_keys(beside if is_file(beside) else given)
     return keys, folder.resolve()
 
 
@@ -163,7 +172,9 @@ def _base(given: object, path: Path) -> tuple[dict[str, object], Path]:
 _Factor = list[tuple[dict[str, object], dict[str, object]]]
 
 
-def _points(data: Mapping[str, object], path: Path) -> Iterator[tuple[dict[str, object], dict[str, object]]]:
+def _points(
+    data: Mapping[str, object], path: Path, seeds: int
+) -> Iterator[tuple[dict[str, object], dict[str, object]]]:
     """Every entry of the list with every point of the grid: what is shown of it, and the keys that it sets."""
     entries, grid = _listed(data.get("list"), path), _grid(data.get("grid"), path)
     for key in sorted({key for _, values in entries for key in values} | grid.keys()):
@@ -171,12 +182,17 @@ def _points(data: Mapping[str, object], path: Path) -> Iterator[tuple[dict[str, 
             raise InputError(f"{path}: seed: give the seeds of all variants as seeds: 1..50")
         if key in grid and any(key in values for _, values in entries):
             raise InputError(f"{path}: {key}: is in grid and in list; give it once")
+    variants = math.prod(map(len, (entries, *grid.values())))
+    if variants * seeds > _MOST_RUNS:
+        raise InputError(
+            f"{path}: {variants} variants with {seeds} seeds are {variants * seeds} runs: give at most {_MOST_RUNS}"
+        )
     for levels in itertools.product(entries, *grid.values()):
-        shown, values = dict[str, object](), dict[str, object]()
-        for level_shown, level_values in levels:
-            shown |= level_shown
+        short, values = dict[str, object](), dict[str, object]()
+        for level_short, level_values in levels:
+            short |= level_short
             values |= level_values
-        yield shown, values
+        yield short, values
 
 
 def _listed(entries: object, path: Path) -> _Factor:
@@ -188,18 +204,18 @@ def _listed(entries: object, path: Path) -> _Factor:
     if not entries:
         raise InputError(f"{path}: list: give at least one variant")
     values = [{str(key): value for key, value in entry.items() if key != NAME} for entry in entries]
-    shown: list[dict[str, object]] = [{} for _ in entries]
+    short: list[dict[str, object]] = [{} for _ in entries]
     for key in dict.fromkeys(key for entry in values for key in entry):
         having = [number for number, entry in enumerate(values) if key in entry]
         for number, value in zip(having, tell_apart([values[n][key] for n in having]), strict=True):
-            shown[number][key] = value
+            short[number][key] = value
     if any(NAME in entry for entry in entries):
         names = [
-            _name(entry[NAME], f"{path}: list[{number}].name") if NAME in entry else label(shown[number])
+            _name(entry[NAME], f"{path}: list[{number}].name") if NAME in entry else label(short[number])
             for number, entry in enumerate(entries)
         ]
-        shown = [{NAME: name} for name in names]
-    return list(zip(shown, values, strict=True))
+        short = [{NAME: name} for name in names]
+    return list(zip(short, values, strict=True))
 
 
 def _grid(grid: object, path: Path) -> dict[str, _Factor]:
@@ -207,23 +223,25 @@ def _grid(grid: object, path: Path) -> dict[str, _Factor]:
     if grid is None:
         return {}
     if not isinstance(grid, dict):
-        raise InputError(f"{path}: grid: {grid!r}: give a mapping such as agvs: [1, 2, 4]")
+        raise InputError(f"{path}: grid: {shown(grid)}: give a mapping such as agvs: [1, 2, 4]")
     factors = {}
     for key, values in grid.items():
         if not isinstance(values, list | dict) or not values:
-            raise InputError(f"{path}: grid.{key}: {values!r}: give a list of values, or a mapping of names to values")
+            raise InputError(
+                f"{path}: grid.{key}: {shown(values)}: give a list of values, or a mapping of names to values"
+            )
         if isinstance(values, dict):
-            shown: list[Any] = [_name(name, f"{path}: grid.{key}") for name in values]
+            short: list[Any] = [_name(name, f"{path}: grid.{key}") for name in values]
         else:
-            shown = tell_apart(values)
+            short = tell_apart(values)
         level = list(values.values()) if isinstance(values, dict) else values
-        factors[str(key)] = [({key: short}, {key: value}) for short, value in zip(shown, level, strict=True)]
+        factors[str(key)] = [({key: name}, {key: value}) for name, value in zip(short, level, strict=True)]
     return factors
 
 
 def _name(given: object, where: str) -> str:
     if not isinstance(given, str) or not given.strip() or not given.isprintable():
-        raise InputError(f"{where}: {given!r}: give a name of one line, such as saturday")
+        raise InputError(f"{where}: {shown(given)}: give a name of one line, such as saturday")
     return given.strip()
 
 
@@ -235,10 +253,10 @@ def _check_differ(variants: Sequence[Variant], scenarios: Sequence[Scenario], pa
         content = _key(_content(scenario), 0)
         if content in name_of:
             raise InputError(
-                f"{path}: {name_of[content]!r} and {variant.name!r} are the same scenario; remove one of them"
+                f"{path}: {shown(name_of[content])} and {shown(variant.name)} are the same scenario; remove one of them"
             )
         if variant.name in names:
-            raise InputError(f"{path}: {variant.name!r}: two variants have this name; give each a name of its own")
+            raise InputError(f"{path}: {shown(variant.name)}: two variants have this name; give each a name of its own")
         name_of[content] = variant.name
         names.add(variant.name)
 

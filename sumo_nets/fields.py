@@ -1,4 +1,4 @@
-"""What is wrong with a field of a nested model, in one line."""
+"""What is wrong with the fields of a nested model, a line for each."""
 
 from __future__ import annotations
 
@@ -11,69 +11,81 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from sumo_nets.wording import one_of
+from sumo_nets.wording import one_of, shown
 
 #: Kinds of a value that may be of several, as pydantic names them behind the field.
 _SCALARS = {"bool", "int", "float", "str"}
+#: Keys are compared by so many characters.
+_LONGEST = 100
 
 
-def first_error(error: ValidationError, model: type[BaseModel]) -> str:
-    """The first thing that is wrong with a model.
+def all_errors(error: ValidationError, model: type[BaseModel]) -> list[str]:
+    """All that is wrong with a model.
 
     Args:
         error: what pydantic says.
         model: the outermost model.
 
     Returns:
-        Field, value, and what would be valid, such as "agvs: -1: must be greater than or equal to 1".
+        For each field its name, value, and what would be valid, such as "agvs: -1: must be greater than or equal to 1".
     """
     # a misspelt key is also a missing one: the misspelling says more
-    first = min(error.errors(include_url=False), key=lambda each: each["type"] != "extra_forbidden")
-    field, owner = locate(model, first["loc"])
-    wrong = _wrong(first, owner)
-    return f"{field}{wrong}" if field else wrong.removeprefix(": ")
+    found = sorted(error.errors(include_url=False), key=lambda each: each["type"] != "extra_forbidden")
+    outer = {each["loc"][:length] for each in found for length in range(len(each["loc"]))}
+    told: dict[str, None] = {}
+    meant: set[str] = set()
+    for each in found:
+        if each["loc"] and each["loc"] in outer:
+            continue  # a list without its wrong parts is too short
+        field, owner = locate(model, each["loc"])
+        if each["type"] == "missing" and field in meant:
+            continue
+        wrong = _wrong(each, owner)
+        if each["type"] == "extra_forbidden" and owner and (key := _meant(each, owner)):
+            meant.add(f"{field.rpartition('.')[0]}.{key}".removeprefix("."))
+        told[f"{field}{wrong}" if field else wrong.removeprefix(": ")] = None
+    return list(told)
+
+
+def _meant(error: ErrorDetails, owner: type[BaseModel] | None) -> str:
+    """The key that an unknown one is most like; "" if it is like none."""
+    fields = fields_of(owner) if owner else {}
+    return next(iter(difflib.get_close_matches(str(error["loc"][-1])[:_LONGEST], fields, n=1)), "")
 
 
 def _wrong(error: ErrorDetails, owner: type[BaseModel] | None) -> str:
     """What stands behind the field's name."""
-    kind, context, shown = error["type"], error.get("ctx", {}), _shown(error["input"])
+    kind, context, given = error["type"], error.get("ctx", {}), shown(error["input"], 60)
     key = str(error["loc"][-1]) if error["loc"] else ""
     fields = fields_of(owner) if owner else {}
     if kind == "extra_forbidden":
-        close = difflib.get_close_matches(key, fields, n=1)
-        return (
-            f": unknown key; {f'did you mean {close[0]}?' if close else 'valid keys are ' + ', '.join(sorted(fields))}"
-        )
+        close = _meant(error, owner)
+        return f": unknown key; {f'did you mean {close}?' if close else 'valid keys are ' + ', '.join(sorted(fields))}"
     if kind == "missing":
         wanted = fields[key].description if key in fields else None
         return f": missing ({wanted})" if wanted else ": missing; give a value"
     if kind == "invalid_key":
-        return f": {shown}: give a key that is a text"
+        return f": {given}: give a key that is a text"
     if kind in ("model_type", "model_attributes_type", "dict_type"):
-        return f": {shown}: give a mapping of keys to values"
+        return f": {given}: give a mapping of keys to values"
     if kind == "too_short":
-        return f": {shown}: give at least {context['min_length']}"
+        return f": {given}: give at least {context['min_length']}"
     if kind in ("union_tag_not_found", "union_tag_invalid"):
         members = models_in(fields[key].annotation) if key in fields else ()
         valid = one_of(str(member.model_fields["kind"].default) for member in members)
-        return f".kind: {_shown(context['tag']) + ': ' if 'tag' in context else 'missing; '}{valid}"
+        return f".kind: {shown(context['tag']) + ': ' if 'tag' in context else 'missing; '}{valid}"
     if kind == "literal_error":
-        return f": {shown}: give {context['expected']}"
+        return f": {given}: give {context['expected']}"
     if key in _SCALARS:
-        return f": {shown}: give a number, a text, true or false"
+        return f": {given}: give a number, a text, true or false"
     message = error["msg"].removeprefix("Value error, ")
     if kind == "value_error":
         return f": {message}"
     return (
-        f": {shown}: must be {message.removeprefix('Input should be ')}"
+        f": {given}: must be {message.removeprefix('Input should be ')}"
         if "Input should" in message
-        else f": {shown}: {message[0].lower()}{message[1:]}"
+        else f": {given}: {message[0].lower()}{message[1:]}"
     )
-
-
-def _shown(value: object) -> str:
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def locate(model: type[BaseModel], location: tuple[int | str, ...]) -> tuple[str, type[BaseModel] | None]:

@@ -44,8 +44,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, field_validator, model_validator
 
-from sumo_nets.errors import InputError
-from sumo_nets.fields import first_error
+from sumo_nets.errors import InputError, in_lines
+from sumo_nets.fields import all_errors
 from sumo_nets.graph import Role
 from sumo_nets.yaml_file import YamlError, parse_mapping, read_mapping
 
@@ -329,4 +329,4 @@ def _checked(data: Mapping[str, object], source: str) -> Layout:
     try:
         return Layout.model_validate(data)
     except ValidationError as err:
-        raise LayoutError(f"{source}: {first_error(err, Layout)}") from None
+        raise LayoutError(in_lines([f"{source}: {wrong}" for wrong in all_errors(err, Layout)])) from None

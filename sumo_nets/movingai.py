@@ -14,10 +14,12 @@ from pathlib import Path
 
 from sumo_nets.errors import InputError
 from sumo_nets.graph import Graph, Role, make_graph
+from sumo_nets.input_file import MEGABYTE, read_text
 from sumo_nets.numbering import Vertex
 
 _FREE = ".GSebr"
 _BLOCKED = "@OTW"
+_MOST_BYTES = 20 * MEGABYTE
 _ROLES: dict[str, Role] = {"e": "slot", "b": "bay", "r": "home"}
 
 
@@ -100,6 +102,7 @@ def _edges(cells: dict[tuple[int, int], str], cell_m: float) -> Iterator[tuple[s
 
 def _lines(path: Path) -> list[str]:
     try:
-        return path.read_text(encoding="utf-8").splitlines()
+        return read_text(path, _MOST_BYTES).splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise MovingAiError(f"{path}: can't be read: {error}") from None
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise MovingAiError(f"{path}: can't be read: {reason}") from None

@@ -6,6 +6,7 @@ valid, and nothing that is no number goes any further.
 
 from __future__ import annotations
 
+import errno
 import gzip
 import xml.parsers.expat
 import zlib
@@ -18,12 +19,18 @@ import numpy as np
 
 from sumo_nets.errors import NetError
 from sumo_nets.graph import ROLES, FloatArray, Role
+from sumo_nets.input_file import MEGABYTE, check_file
 from sumo_nets.sumo_rules import permits
+from sumo_nets.wording import cut, shown
 
 #: Farthest that anything may lie from the origin; beyond it squares of distances lose their metres.
 FARTHEST_M = 1e7
 #: Points of a line this close to each other are one.
 _SAME_POINT_M = 1e-6
+#: Digits of a count.
+MOST_DIGITS = 6
+#: Bytes of a file, and of its text: at most so many, and at most so many times the packed ones or this least.
+_MOST_PACKED, _MOST_TEXT, _MOST_TIMES, _LEAST_TEXT = 100 * MEGABYTE, 300 * MEGABYTE, 100, 10 * MEGABYTE
 
 Attributes = dict[str, str]
 
@@ -214,7 +221,7 @@ def read_additional_file(path: Path) -> AdditionalFile:
 
 def _add(rows: dict[str, _Row], name: str, row: _Row, what: str) -> None:
     if name in rows:
-        raise ValueError(f"{what} {name!r} is given twice")
+        raise ValueError(f"{what} {shown(name)} is given twice")
     rows[name] = row
 
 
@@ -245,15 +252,15 @@ def _number(what: str, attributes: Attributes, key: str, above: float) -> float:
         value = np.nan
     if not above < value < FARTHEST_M:
         raise ValueError(
-            f"{what} {attributes['id']!r}: {key} is {attributes[key]!r}; a number above {above:g} is valid"
+            f"{what} {shown(attributes['id'])}: {key} is {shown(attributes[key])}; a number above {above:g} is valid"
         )
     return value
 
 
 def _count(what: str, attributes: Attributes, key: str) -> int:
     value = attributes.get(key, "0")
-    if not value.isascii() or not value.isdigit():
-        raise ValueError(f"{what} {attributes['id']!r}: {key} is {value!r}; a whole number is valid")
+    if not value.isascii() or not value.isdigit() or len(value) > MOST_DIGITS:
+        raise ValueError(f"{what} {shown(attributes['id'])}: {key} is {shown(value)}; a whole number is valid")
     return int(value)
 
 
@@ -262,13 +269,16 @@ def _line(attributes: Attributes) -> FloatArray:
     rows = [point.split(",")[:2] for point in attributes["shape"].split()]
     try:
         points = np.array(rows, dtype=np.float64)
-        moves = np.hypot(*np.diff(points, axis=0).T) > _SAME_POINT_M
-        fine = bool(moves.any()) and bool((np.abs(points) < FARTHEST_M).all())
+        fine = bool((np.abs(points) < FARTHEST_M).all())
+        moves = np.hypot(*np.diff(points if fine else points[:1], axis=0).T) > _SAME_POINT_M
+        fine = fine and bool(moves.any())
     except (ValueError, TypeError):
         fine = False
     if not fine:
-        shown = attributes["shape"][:40]
-        raise ValueError(f"lane {attributes['id']!r}: shape is {shown!r}; two points x,y or more that differ are valid")
+        raise ValueError(
+            f"lane {shown(attributes['id'])}: shape is {shown(attributes['shape'], 40)}; two points x,y or more that"
+            " differ are valid"
+        )
     line: FloatArray = points[np.append(True, moves)]
     return line
 
@@ -280,6 +290,7 @@ def _parse(path: Path, start: Callable[[str, Attributes], None]) -> None:
 
     parser = xml.parsers.expat.ParserCreate()
     parser.StartElementHandler = checked
+    parser.StartDoctypeDeclHandler = _refuse_doctype
     try:
         for chunk in _chunks(path):
             parser.Parse(chunk)
@@ -291,8 +302,13 @@ def _parse(path: Path, start: Callable[[str, Attributes], None]) -> None:
         raise NetError(f"{path}: not XML: {err}") from None
     except KeyError as err:
         raise NetError(f"{path}: line {parser.CurrentLineNumber}: attribute {err} is missing") from None
-    except ValueError as err:
-        raise NetError(f"{path}: line {parser.CurrentLineNumber}: {err}") from None
+    except (ValueError, LookupError) as err:  # LookupError: an encoding that nobody knows
+        raise NetError(f"{path}: line {parser.CurrentLineNumber}: {cut(str(err), 300)}") from None
+
+
+def _refuse_doctype(name: str, *_: object) -> None:
+    """Entities may stand for other files, or for 10^9 times their text."""
+    raise ValueError(f"DOCTYPE {cut(name)}: nets have none; take it out")
 
 
 def _refuse_files(tag: str, attributes: Attributes) -> None:
@@ -303,6 +319,11 @@ def _refuse_files(tag: str, attributes: Attributes) -> None:
 
 
 def _chunks(path: Path) -> Iterator[bytes]:
+    check_file(path, _MOST_PACKED)
+    most = min(_MOST_TEXT, max(_LEAST_TEXT, _MOST_TIMES * path.stat().st_size))
     with gzip.open(path) if path.name.endswith(".gz") else path.open("rb") as stream:
         while chunk := stream.read(1 << 18):
+            most -= len(chunk)
+            if most < 0:
+                raise OSError(errno.EFBIG, "holds more text than any net")
             yield chunk

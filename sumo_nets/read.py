@@ -19,10 +19,12 @@ import numpy as np
 
 from sumo_nets.errors import NetError
 from sumo_nets.graph import ROLES, FloatArray, Graph, Role, make_graph
-from sumo_nets.net_files import AdditionalFile, Lane, NetFile, read_additional_file, read_net_file
+from sumo_nets.input_file import is_file
+from sumo_nets.net_files import MOST_DIGITS, AdditionalFile, Lane, NetFile, read_additional_file, read_net_file
 from sumo_nets.numbering import EdgeIndex, Numbered, Vertex, numbered
 from sumo_nets.street import BaySite, Street, read_street
 from sumo_nets.sumo_rules import POSITION_EPS_M, stopping_place
+from sumo_nets.wording import shown
 
 _NET_SUFFIXES = (".net.xml.gz", ".net.xml")
 
@@ -122,7 +124,7 @@ def read_net(name_or_path: str | Path) -> GarageNet:
 
 def _version(path: Path) -> tuple[int, int] | None:
     """What tells versions of a file apart; None if there is none."""
-    if not path.exists():
+    if not is_file(path):
         return None
     stat = path.stat()
     return stat.st_mtime_ns, stat.st_size
@@ -167,12 +169,13 @@ def _find(name_or_path: str | Path) -> tuple[Path, str]:
         return _nets_folder() / f"{given}{_NET_SUFFIXES[0]}", given
     path = Path(name_or_path)
     for suffix in _NET_SUFFIXES:
-        if path.name.endswith(suffix) and path.is_file():
+        if path.name.endswith(suffix) and is_file(path):
             return path, path.name.removesuffix(suffix)
     if path.name.endswith(_NET_SUFFIXES):
         raise NetError(f"{given}: no such file")
     raise NetError(
-        f"unknown map {given!r}: valid are {', '.join(shipped_nets())}, or the path of a .net.xml or .net.xml.gz file"
+        f"unknown map {shown(given)}: valid are {', '.join(shipped_nets())}, or the path of a .net.xml or .net.xml.gz"
+        " file"
     )
 
 
@@ -225,8 +228,10 @@ def _roles(net: NetFile, used: set[str]) -> dict[Role, list[str]]:
     for role, junction, value in net.roles:
         if junction not in used:
             raise NetError(f"{net.path}: junction {junction!r} is a {role}, but no lane that allows tram leads to it")
-        if not value.isascii() or not value.isdigit():
-            raise NetError(f"{net.path}: junction {junction!r}: garage.{role} is {value!r}; a whole number is valid")
+        if not value.isascii() or not value.isdigit() or len(value) > MOST_DIGITS:
+            raise NetError(
+                f"{net.path}: junction {junction!r}: garage.{role} is {shown(value)}; a whole number is valid"
+            )
         first = ranked[role].setdefault(int(value), junction)
         if first != junction:
             raise NetError(

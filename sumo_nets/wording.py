@@ -9,6 +9,8 @@ from collections.abc import Iterable
 _WHOLE = 60
 #: Of longer ones so many are given.
 _EXAMPLES = 5
+#: Names are compared by so many characters.
+_LONGEST = 100
 
 
 def one_of(valid: Iterable[str], given: object = "") -> str:
@@ -26,7 +28,7 @@ def one_of(valid: Iterable[str], given: object = "") -> str:
         return "there is none to give"
     if len(names) <= _WHOLE:
         return f"give one of {', '.join(names)}"
-    like = difflib.get_close_matches(str(given), names, n=_EXAMPLES) or names[:_EXAMPLES]
+    like = difflib.get_close_matches(str(given)[:_LONGEST], names, n=_EXAMPLES) or names[:_EXAMPLES]
     return f"give one of {len(names)} names such as {', '.join(like)}"
 
 
@@ -62,7 +64,7 @@ def shown(value: object, most: int = 80) -> str:
     if isinstance(value, int) and abs(value) >= 10**4000:
         return "a whole number of more than 4000 digits"
     if isinstance(value, str | bytes) and len(value) > most:
-        return f"{cut(repr(value[:most]))}... ({len(value)} characters)"
+        return f"{cut(repr(value[:most]), 10 * most)}... ({len(value)} characters)"
     try:
         return cut(repr(value), most)
     except Exception:

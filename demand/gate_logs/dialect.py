@@ -18,10 +18,14 @@ import pandas as pd
 
 from demand.gate_logs.stamps import is_stamp, read_stamps
 from sumo_nets.errors import InputError
+from sumo_nets.input_file import MEGABYTE, read_bytes
+from sumo_nets.wording import shown
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar"}
 #: A header stands within the first lines; titles may come before it.
 _HEADER_LINES = 20
+#: Bytes of a log.
+_MOST_BYTES = 200 * MEGABYTE
 
 
 def _words(text: str) -> frozenset[str]:
@@ -110,11 +114,11 @@ def parse_dialect(columns: str = "", events: str = "", dates: str = "", zone: st
     roles = _pairs(columns, "--columns", tuple(_COLUMNS))
     words = _pairs(events, "--events", ("in", "out"))
     if len(dict(roles)) < len(roles):
-        raise InputError(f"--columns: {columns!r}: give each of {', '.join(_COLUMNS)} at most once")
+        raise InputError(f"--columns: {shown(columns)}: give each of {', '.join(_COLUMNS)} at most once")
     if dates not in ("", "dmy", "mdy"):
-        raise InputError(f"--dates: {dates!r}: give dmy (day first) or mdy (month first)")
+        raise InputError(f"--dates: {shown(dates)}: give dmy (day first) or mdy (month first)")
     if words and {side for side, _ in words} != {"in", "out"}:
-        raise InputError(f"--events: {events!r}: give a word for in and one for out, such as in=1,out=0")
+        raise InputError(f"--events: {shown(events)}: give a word for in and one for out, such as in=1,out=0")
     return Dialect(dict(roles), {word: 1 if side == "in" else -1 for side, word in words}, dates, zone)
 
 
@@ -160,7 +164,7 @@ def _pairs(text: str, option: str, keys: tuple[str, ...]) -> list[tuple[str, str
     for item in re.split(rf",(?=(?:{'|'.join(keys)})=)", text) if text else ():
         key, equals, value = (part.strip() for part in item.partition("="))
         if key not in keys or not equals:
-            raise InputError(f"{option}: {item!r}: give such as {keys[0]}=NAME; the keys are {', '.join(keys)}")
+            raise InputError(f"{option}: {shown(item)}: give such as {keys[0]}=NAME; the keys are {', '.join(keys)}")
         found.append((key, value))
     return found
 
@@ -168,7 +172,7 @@ def _pairs(text: str, option: str, keys: tuple[str, ...]) -> list[tuple[str, str
 def _decode(path: Path) -> tuple[str, str]:
     """Text and encoding of a file: by its mark, by UTF-16's zeros, UTF-8 if it can be, or Korean if it is."""
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, _MOST_BYTES)
     except OSError as error:
         raise InputError(f"{path}: can't be read as a CSV file: {error.strerror}") from None
     sample = data[:4096]
@@ -219,13 +223,17 @@ def _find_header(lines: list[str], dialect: Dialect, path: Path) -> tuple[int, s
     wrong = (
         f"--columns {','.join(given)}: no such column" if given else f"no column for the {' and the '.join(missing)}"
     )
+    header = shown(",".join(cells))
     raise InputError(
-        f"{path}: row {first + 1}: {','.join(cells)!r}: {wrong}; give such as --columns time=NAME,event=NAME,car=NAME"
+        f"{path}: row {first + 1}: {header}: {wrong}; give such as --columns time=NAME,event=NAME,car=NAME"
     )
 
 
 def _split(line: str, separator: str) -> list[str]:
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
+    except csv.Error:  # a cell longer than any header's
+        return []
 
 
 def _candidates(header: list[str], given: Mapping[str, str]) -> dict[str, list[int]]:
@@ -251,7 +259,7 @@ def _roles(header: list[str], given: Mapping[str, str], path: Path, number: int)
         if role in given and not places:
             raise InputError(f"--columns: {role}={given[role]}: {path}: the header has {', '.join(header)}")
         if len(places) > 1:
-            names = " and ".join(repr(header[place]) for place in places)
+            names = " and ".join(shown(header[place]) for place in places)
             raise InputError(f"{path}: row {number}: {names} may be the {role}; give --columns {role}=NAME")
     return {role: places[0] for role, places in candidates.items() if places}
 
@@ -291,7 +299,7 @@ def _steps(words: pd.Series[str], dialect: Dialect, path: Path) -> pd.Series[int
     if strange and not dialect.events:
         row = words.index[words == strange[0]][0]
         raise InputError(
-            f"{path}: row {row}: event: {strange[0]!r}: give in or out, or say which words mean so, such as"
+            f"{path}: row {row}: event: {shown(strange[0])}: give in or out, or say which words mean so, such as"
             f" --events in=1,out=0 (the log has {_some(words)})"
         )
     if "" in meaning and not dialect.events and len(sides) == 1:
@@ -305,13 +313,13 @@ def _steps(words: pd.Series[str], dialect: Dialect, path: Path) -> pd.Series[int
 
 
 def _some(words: pd.Series[str]) -> str:
-    return ", ".join(repr(word) for word in words.unique()[:6])
+    return ", ".join(shown(word) for word in words.unique()[:6])
 
 
 def _left_out(words: pd.Series[str]) -> list[str]:
     counts = words.value_counts(sort=False)
     return [
-        f"left out: {count} rows {f'with event {word!r}' if word else 'without an event'}"
+        f"left out: {count} rows {f'with event {shown(word)}' if word else 'without an event'}"
         for word, count in counts.items()
     ]
 

@@ -9,7 +9,8 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pandas as pd
 
-from sumo_nets.errors import InputError
+from sumo_nets.errors import MOST_LINES, InputError, in_lines
+from sumo_nets.wording import shown
 
 _STAMP = re.compile(
     r"^\s*(?:[^\W\d]{2,}\.?,?\s+)?(?P<a>\d{1,4})(?P<mark>[./-])(?P<b>\d{1,2})(?P=mark)(?P<c>\d{1,4})"
@@ -108,7 +109,9 @@ def _order(cells: pd.Series[str], parts: pd.DataFrame, doubtful: pd.Series[bool]
     if (second > 12).any():
         return "mdy"
     row = first.index[first != second][0]
-    raise InputError(f"{path}: row {row}: time: {cells[row]!r}: day or month first? Give --dates dmy or --dates mdy")
+    raise InputError(
+        f"{path}: row {row}: time: {shown(cells[row])}: day or month first? Give --dates dmy or --dates mdy"
+    )
 
 
 def _on_the_wall(
@@ -130,7 +133,7 @@ def _on_the_wall(
     try:
         clock = ZoneInfo(zone)
     except (OSError, ValueError, KeyError):
-        raise InputError(f"--zone: {zone!r}: give a name such as Europe/Berlin") from None
+        raise InputError(f"--zone: {shown(zone)}: give a name such as Europe/Berlin") from None
     universal = (time - pd.to_timedelta(ahead, unit="min")).dt.tz_localize("UTC")
     return universal.dt.tz_convert(clock).dt.tz_localize(None), f"{form}, by the clock of {zone}"
 
@@ -144,5 +147,6 @@ def _minutes(offset: str) -> int:
 
 def _refuse(cells: pd.Series[str], bad: pd.Series[bool], path: Path, why: str) -> None:
     if bad.any():
-        row = bad.index[bad.to_numpy()][0]
-        raise InputError(f"{path}: row {row}: time: {cells[row]!r}: {why}")
+        rows = bad.index[bad.to_numpy()].tolist()
+        told = [f"{path}: row {row}: time: {shown(cells[row])}: {why}" for row in rows[:MOST_LINES]]
+        raise InputError(in_lines(told, len(rows)))

@@ -27,19 +27,23 @@ cells are shifted to where the most slots fit.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
-from itertools import product
+from itertools import chain, islice, product
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from sumo_nets.fields import first_error
+from sumo_nets.errors import in_lines
+from sumo_nets.fields import all_errors
 from sumo_nets.freespace.floor import Floor, rectangle
 from sumo_nets.graph import FloatArray, Role
+from sumo_nets.input_file import MEGABYTE, check_file
 from sumo_nets.layout import FIELD_OF_ROLE, LayoutError
+from sumo_nets.wording import cut
 from sumo_nets.yaml_file import YamlError, read_mapping
 
 Metre = Annotated[float, Field(ge=-1000, le=5000, allow_inf_nan=False)]
@@ -51,6 +55,8 @@ _LARGEST_M, _LARGEST_PIXELS = 2000.0, 8000
 _STRAIGHT_M, _SHORTEST_STREET_M = 1.0, 21.0
 #: A picture with more rectangles than this is no drawing of walls.
 _MOST_SOLIDS = 5000
+#: Bytes of a picture's file, its formats, and rows that are looked at together.
+_MOST_BYTES, _FORMATS, _ROWS = 100 * MEGABYTE, ("PNG", "PPM", "JPEG", "BMP", "GIF", "TIFF"), 256
 
 
 class _Part(BaseModel):
@@ -106,12 +112,12 @@ class Picture(_Part):
     """Walls as the dark parts of a picture.
 
     Attributes:
-        file: PNG, PGM or another format that Pillow reads; relative to the plan's folder.
+        file: PNG, PGM, JPEG, BMP, GIF or TIFF; relative to the plan's folder.
         metres_per_pixel: scale.
         threshold: brightness below which a pixel is wall, 0 black to 1 white.
     """
 
-    file: str = Field(description="PNG, PGM or another format that Pillow reads; relative to the plan's folder")
+    file: str = Field(description="PNG, PGM, JPEG, BMP, GIF or TIFF; relative to the plan's folder")
     metres_per_pixel: float = Field(ge=0.01, le=1, description="scale of the picture, metres")
     threshold: float = Field(default=0.5, gt=0, lt=1, description="a darker pixel is wall; 0 is black, 1 is white")
 
@@ -178,67 +184,89 @@ def load_plan(path: str | Path) -> tuple[FloorPlan, Floor]:
     except YamlError as err:
         raise LayoutError(f"{source}: {err}") from None
     except ValidationError as err:
-        raise LayoutError(f"{source}: {first_error(err, FloorPlan)}") from None
+        raise LayoutError(in_lines([f"{source}: {wrong}" for wrong in all_errors(err, FloorPlan)])) from None
     return plan, _walls(plan, source)
 
 
 def _walls(plan: FloorPlan, source: Path) -> Floor:
     solids = [np.array(wall, dtype=np.float64) for wall in plan.walls]
-    for grid in plan.pillars:
-        solids += grid.polygons()
+    found = chain.from_iterable(grid.polygons() for grid in plan.pillars)
     outline = np.array(plan.outline or np.empty((0, 2)), dtype=np.float64)
     if plan.picture is not None:
         dark = _dark(plan.picture, source)
         scale = plan.picture.metres_per_pixel
-        solids += [scale * box for box in cover(dark)]
+        found = chain(found, (scale * box for box in cover(dark)))
         if not len(outline):
             outline = rectangle(0, 0, dark.shape[1] * scale, dark.shape[0] * scale)
     if outline.min() < 0 or outline.max() > _LARGEST_M:
         raise LayoutError(f"{source}: outline: corners between 0 and {_LARGEST_M:g} m are valid")
+    solids += islice(found, _MOST_SOLIDS + 1)
     if len(solids) > _MOST_SOLIDS:
-        raise LayoutError(f"{source}: {len(solids)} walls and pillars: at most {_MOST_SOLIDS} are valid")
+        raise LayoutError(f"{source}: more than {_MOST_SOLIDS} walls and pillars: at most so many are valid")
     width, height = outline.max(axis=0).tolist()
     return Floor(width, height, tuple(solids), outline=outline)
 
 
 def _dark(picture: Picture, source: Path) -> NDArray[np.bool_]:
     """Which pixels are wall, shape (rows, columns)."""
-    from matplotlib.image import imread
-
+    where = f"{source}: picture.file: {cut(picture.file)}"
     path = source.parent / picture.file
     try:
-        pixels = np.asarray(imread(path))
-    except (OSError, SyntaxError, ValueError) as err:
+        check_file(path, _MOST_BYTES)
+        pixels = _pixels(path, where)
+    except LayoutError:
+        raise
+    except Exception as err:  # Pillow fails on damaged pictures in many ways
         reason = err.strerror if isinstance(err, OSError) and err.strerror else "not a picture"
-        raise LayoutError(f"{source}: picture.file: {picture.file}: can't be read: {reason}") from None
-    if max(pixels.shape[:2]) > _LARGEST_PIXELS:
-        raise LayoutError(f"{source}: picture.file: {picture.file}: at most {_LARGEST_PIXELS} pixels a side are valid")
-    bright = pixels / np.iinfo(pixels.dtype).max if np.issubdtype(pixels.dtype, np.integer) else pixels
+        raise LayoutError(f"{where}: can't be read: {reason}") from None
+    parts = [_dark_rows(pixels[y : y + _ROWS], picture.threshold) for y in range(0, len(pixels), _ROWS)]
+    return np.concatenate(parts)
+
+
+def _pixels(path: Path, where: str) -> NDArray[Any]:
+    """A picture's values, by rows, columns and channels; its size is looked at before it is read."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            opened = Image.open(path, formats=_FORMATS)
+        largest = max(opened.size)
+    except Image.DecompressionBombError:
+        largest = _LARGEST_PIXELS + 1
+    if largest > _LARGEST_PIXELS:
+        raise LayoutError(f"{where}: at most {_LARGEST_PIXELS} pixels a side are valid")
+    with opened as image:
+        if image.mode.startswith("I"):
+            return np.asarray(image).astype(np.uint16)
+        return np.asarray(image if image.mode in ("L", "LA", "RGB", "RGBA") else image.convert("RGBA"))
+
+
+def _dark_rows(pixels: NDArray[Any], threshold: float) -> NDArray[np.bool_]:
+    bright = pixels / np.iinfo(pixels.dtype).max
     if bright.ndim == 3:
         # an alpha channel is no brightness: what is transparent is floor
         colour = bright[..., :3].mean(axis=2) if bright.shape[2] >= 3 else bright[..., 0]
         alpha = bright[..., -1] if bright.shape[2] in (2, 4) else np.ones(colour.shape)
         bright = 1 - alpha * (1 - colour)
-    dark: NDArray[np.bool_] = bright < picture.threshold
+    dark: NDArray[np.bool_] = bright < threshold
     return dark
 
 
-def cover(dark: NDArray[np.bool_]) -> list[FloatArray]:
+def cover(dark: NDArray[np.bool_]) -> Iterator[FloatArray]:
     """Cover the dark pixels with upright rectangles that don't overlap, in pixels.
 
     Runs of a row that repeat in the rows below become one rectangle.
     """
-    boxes: list[FloatArray] = []
     open_runs: dict[tuple[int, int], int] = {}
     for y in range(len(dark) + 1):
         row = dark[y] if y < len(dark) else np.zeros(dark.shape[1], dtype=np.bool_)
         ends = np.flatnonzero(np.diff(np.concatenate(([0], row.astype(np.int8), [0]))))
         runs = {(int(a), int(b)) for a, b in ends.reshape(-1, 2)}
         for run in [run for run in open_runs if run not in runs]:
-            boxes.append(rectangle(run[0], open_runs.pop(run), run[1], y))
+            yield rectangle(run[0], open_runs.pop(run), run[1], y)
         for run in sorted(runs):
             open_runs.setdefault(run, y)
-    return boxes
 
 
 def boxes_of(plan: FloorPlan) -> Iterator[tuple[Role, str, Box]]:
