@@ -128,7 +128,7 @@ def fuzz(reader: Reader, files: int, seed: int, keep: Path | None, folder: Path,
     for number in range(files):
         good = rng.choice(seeds[:own] if rng.random() < OWN else seeds)
         name = rng.choice(sorted(good))
-        mutant = {**good, name: mutated(name, good[name], [text for text in rng.choice(seeds).values()], rng)}
+        mutant = {**good, name: mutated(name, good[name], list(rng.choice(seeds).values()), rng)}
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
         for file, content in mutant.items():

@@ -27,6 +27,7 @@ VALUES: tuple[Any, ...] = (
     [[]], {"": 1}, {1: 2}, {None: 1}, {(1, 2): 3}, "\u2603", "x" * 5000, list(range(2000)), 2**31, 2**63, "1..5",
     "/dev/zero", "a\nb", [None], {"a": {"a": {"a": {}}}}, b"x",
 )  # fmt: skip
+_BYTES = (b"\x00", b"\xff", b"\xff\xfe", b"\xed\xa0\x80", b"\r", b"\x85")
 _TOKEN = re.compile(r"[\w.+-]+")
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 
@@ -85,7 +86,9 @@ def _bytes(content: bytes, others: Sequence[bytes], rng: random.Random) -> bytes
     elif what == 3:
         data[k:k] = data[k : k + n] * rng.choice((1, 2, 50))
     elif what == 4:
-        data[k : k + rng.choice((0, 1, 4))] = rng.choice((b"\x00", b"\xff", b"\xff\xfe", b"\xed\xa0\x80", b"\r", b"\x85"))
+        data[k : k + rng.choice((0, 1, 4))] = rng.choice(
+            (b"\x00", b"\xff", b"\xff\xfe", b"\xed\xa0\x80", b"\r", b"\x85")
+        )
     elif others:
         other = rng.choice(others)
         data[k:] = other[rng.randrange(len(other) + 1) :]
@@ -132,8 +135,15 @@ def _words(content: bytes, _: Sequence[bytes], rng: random.Random) -> bytes:
 
 
 def _numbers(content: bytes, _: Sequence[bytes], rng: random.Random) -> bytes:
-    changes = (lambda s: f"-{s}", lambda s: s + "0" * rng.choice((1, 3, 9, 300)), lambda s: "0", lambda s: f"{s}.5",
-               lambda s: s + "e9", lambda s: s + "e-9", lambda s: str(float(s) + 1), lambda s: rng.choice(WORDS))  # fmt: skip
+    changes = (
+        lambda s: f"-{s}",
+        lambda s: s + "0" * rng.choice((1, 3, 9, 300)),
+        lambda s: "0",
+        lambda s: f"{s}.5",
+        lambda s: s + rng.choice(("e9", "e-9")),
+        lambda s: str(float(s) + 1),
+        lambda s: rng.choice(WORDS),
+    )
     return _swap(content, _NUMBER, lambda s: rng.choice(changes)(s[:300]), rng)
 
 
@@ -194,11 +204,17 @@ def _tags(content: bytes, _: Sequence[bytes], rng: random.Random) -> bytes:
 
 def _encoding(content: bytes, _: Sequence[bytes], rng: random.Random) -> bytes:
     text = re.sub(r"^<\?xml[^>]*>\s*", "", _text(content))
-    name = rng.choice(("utf-8", "utf-16", "utf-32", "utf-7", "latin-1", "cp037", "shift_jis", "idna", "rot13", "no-such"))
+    name = rng.choice(
+        ("utf-8", "utf-16", "utf-32", "utf-7", "latin-1", "cp037", "shift_jis", "idna", "rot13", "no-such")
+    )
     entities = "".join(f'<!ENTITY e{k + 1} "{f"&e{k};" * 10}">' for k in range(12))
     head = rng.choice(
-        ("", f'<!DOCTYPE net [<!ENTITY e0 "ha">{entities}]>', '<!DOCTYPE net SYSTEM "file:///etc/passwd">',
-         '<!DOCTYPE net [<!ENTITY % p SYSTEM "file:///dev/zero"> %p;]>')  # fmt: skip
+        (
+            "",
+            f'<!DOCTYPE net [<!ENTITY e0 "ha">{entities}]>',
+            '<!DOCTYPE net SYSTEM "file:///etc/passwd">',
+            '<!DOCTYPE net [<!ENTITY % p SYSTEM "file:///dev/zero"> %p;]>',
+        )
     )
     whole = f'<?xml version="1.0" encoding="{name}"?>\n{head}{text}'
     try:
@@ -238,4 +254,6 @@ def _cells(content: bytes, _: Sequence[bytes], rng: random.Random) -> bytes:
 
 
 def _as_other_text(content: bytes, _: Sequence[bytes], rng: random.Random) -> bytes:
-    return _text(content).encode(rng.choice(("utf-16", "utf-16-be", "cp1252", "cp949", "utf-8-sig", "utf-32")), "replace")
+    return _text(content).encode(
+        rng.choice(("utf-16", "utf-16-be", "cp1252", "cp949", "utf-8-sig", "utf-32")), "replace"
+    )

@@ -77,7 +77,7 @@ record: {sample_s: 5.0, plans: false}
 def _scenarios() -> Iterator[Files]:
     log = dict(_shipped("parking_sim", "scenarios", "gate_log.csv"))
     for folder in ("scenarios", "examples"):
-        for name, content in _shipped("parking_sim", folder, ".yaml"):
+        for _, content in _shipped("parking_sim", folder, ".yaml"):
             if b"garage:" in content and b"grid:" not in content and b"pitch_m:" not in content:
                 yield {"scenario.yaml": content, **({} if b"csv" not in content else log)}
     yield {"scenario.yaml": _FULL}
@@ -157,7 +157,9 @@ def _read_profile(folder: Path) -> None:
 
 
 _SWEEP = b"""base: {garage: map1_thesis, agvs: 2, plant: discrete, duration_s: 60.0}
-grid: {agvs: [1, 2], workload: {few: {kind: poisson, arrivals_per_h: 10.0}, many: {kind: poisson, arrivals_per_h: 60.0}}}
+grid:
+  agvs: [1, 2]
+  workload: {few: {kind: poisson, arrivals_per_h: 10.0}, many: {kind: poisson, arrivals_per_h: 60.0}}
 list: [{name: one, planner: whca}, {planner: token, control.period_s: 4.0}]
 seeds: 1..3, 9
 """
@@ -177,7 +179,8 @@ def _requests() -> Iterator[Files]:
 
 
 _LOGS = (
-    b"Zeitpunkt;Richtung;Kennzeichen\n04.05.2024 07:00;Einfahrt;KA-1\n04.05.2024 09:30;Ausfahrt;KA-1\n13.05.2024 09:31;Einfahrt;\n",
+    b"Zeitpunkt;Richtung;Kennzeichen\n"
+    b"04.05.2024 07:00;Einfahrt;KA-1\n04.05.2024 09:30;Ausfahrt;KA-1\n13.05.2024 09:31;Einfahrt;\n",
     b"time,event,car\n2024-05-04T07:00:00Z,in,A 1\n2024-05-04T08:00:00Z,out,A 1\n2024-05-05T08:00:00Z,in,B\n",
     b"time,event,car\n1714806000,in,A\n1714809600,out,A\n1714896000,in,B\n",
     b"date,time,event,plate\n5/14/2024,1:07 PM,in,A\n5/14/2024,3:07 PM,out,A\n5/15/2024,11:59 PM,in,B\n",
@@ -237,7 +240,9 @@ READERS: Mapping[str, Reader] = {
         Reader("picture", _walls, _read_walls),
         Reader("profile", _profiles, _read_profile),
         Reader("sweep", _sweeps, lambda folder: load_sweep(folder / "sweep.yaml")),
-        Reader("requests", _requests, lambda folder: Csv(path="log.csv", initial_cars=("KA-2207",)).demand(61, 0, folder)),
+        Reader(
+            "requests", _requests, lambda folder: Csv(path="log.csv", initial_cars=("KA-2207",)).demand(61, 0, folder)
+        ),
         Reader("gate_log", _gate_logs, _read_log),
         Reader("net", _nets, _read_net),
         Reader("net_gz", _packed_nets, _read_net),

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from demand.poisson import OpenTraffic, Stays, Times, demand_of
-from demand.types import Demand, stream
+from demand.types import Demand, check_cars, stream
 
 
 class Burst(BaseModel):
@@ -33,6 +33,7 @@ class Bursts(OpenTraffic):
 
     def demand(self, slots: int, seed: int, base_dir: Path) -> Demand:
         """Requests of this profile, see :meth:`Workload.demand`."""
+        check_cars(sum(burst.cars for burst in self.bursts), "bursts")
         stays = self.stays(slots, seed)
         rng = stream(seed, "bursts")
         for burst in sorted(self.bursts, key=lambda b: b.at_min):

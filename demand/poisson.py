@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from controller.types import Request, RequestKind
-from demand.types import Demand, Workload, by_time, car_names, stream
+from demand.types import Demand, Workload, by_time, car_names, check_cars, stream
 
 Times = NDArray[np.float64]
 
@@ -87,6 +87,7 @@ class OpenTraffic(Workload):
         time, which for a lognormal is lognormal again with ``mu + sigma**2``: so a garage that starts at the
         stream's mean occupancy stays there.
         """
+        check_cars(60 * self.duration_min * self.rate_per_s(slots), "duration_min")
         initial = round(self.initial_occupancy * slots)
         rng = stream(seed, "initial")
         whole = self.dwell_s(rng, initial) * np.exp(self.dwell_sigma**2)

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from demand.poisson import Stays, demand_of
 from demand.profiles import PROFILES, Floats, Profile, find_profile
-from demand.types import Demand, Workload, stream
+from demand.types import Demand, Workload, check_cars, stream
 from sumo_nets.errors import InputError
 from sumo_nets.wording import one_of, shown
 
@@ -45,6 +45,7 @@ class ProfileTraffic(Workload):
         """Requests of this profile, see :meth:`Workload.demand`."""
         profile = find_profile(self.name, base_dir)
         begin, end = self._stretch(profile)
+        check_cars(self.scale * slots * profile.arrivals_between(begin, end), "name")
         share = min(1.0, self.scale * profile.occupancy_at(begin))
         initial = int(stream(seed, "initial").binomial(slots, share))
         arrive = _arrivals(profile, begin, end, self.scale * slots, stream(seed, "arrivals"))

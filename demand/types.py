@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from controller.types import Request
+from sumo_nets.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +32,24 @@ class Demand:
     def total(self) -> int:
         """Number of requests in all phases."""
         return sum(len(phase) for phase in self.phases)
+
+
+#: Cars of one run at most.
+MOST_CARS = 1_000_000
+
+
+def check_cars(expected: float, key: str) -> None:
+    """Refuse a demand that no memory holds, before it is drawn.
+
+    Args:
+        expected: cars that would come.
+        key: what makes them so many, for the complaint.
+
+    Raises:
+        InputError: they are too many.
+    """
+    if not expected <= MOST_CARS:
+        raise InputError(f"workload.{key}: {expected:.3g} cars would come: at most {MOST_CARS:g} are valid")
 
 
 class Workload(BaseModel, ABC):

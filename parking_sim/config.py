@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError,
 
 from demand.park_exit import ParkExit
 from demand.workloads import WorkloadConfig
-from parking_sim.fault_config import FaultConfig
+from parking_sim.fault_config import LONGEST_S, FaultConfig
 from sumo_nets.errors import InputError, in_lines
 from sumo_nets.fields import all_errors
 from sumo_nets.input_file import is_file
@@ -31,6 +31,10 @@ PlantKind = Literal["sumo", "discrete"]
 
 #: Longest of the times that a scenario gives, so that planning steps can be counted in 32 bits.
 DAY_S = 86_400.0
+#: Shortest of them, so that no clock goes more often than it says anything.
+SHORTEST_S = 0.001
+#: Greatest weight or count that a scenario gives, and number of AGVs, bays or chargers.
+MOST, MOST_PLACES = 10**6, 100_000
 
 NET_SUFFIXES = (".net.xml", ".net.xml.gz")
 
@@ -52,18 +56,18 @@ class ControlConfig(_Options):
     Times hold in SUMO; the discrete plant has the thesis's numbers of ticks instead.
     """
 
-    period_s: float = Field(default=5.0, gt=0, le=DAY_S, description="replanning period, seconds")
+    period_s: float = Field(default=5.0, ge=SHORTEST_S, le=DAY_S, description="replanning period, seconds")
     replanning: Literal["periodic", "events", "both"] = Field(
         default="periodic",
         description="when to plan: every period and for new goals; at events (new goal, predicted collision, end of a"
         " plan, time-out); or both",
     )
     look_ahead_s: float = Field(
-        default=8.0, gt=0, le=DAY_S, description="events: collisions are predicted so far ahead, seconds"
+        default=8.0, ge=SHORTEST_S, le=DAY_S, description="events: collisions are predicted so far ahead, seconds"
     )
     timeout_s: float = Field(
         default=5.0,
-        gt=0,
+        ge=SHORTEST_S,
         le=DAY_S,
         description="events: plan after this time while an AGV stands that has somewhere to go, seconds",
     )
@@ -93,7 +97,7 @@ class ControlConfig(_Options):
     window_step: int = Field(default=2, ge=1, le=10_000, description="the window changes in steps of this many moves")
     planner_limit_s: float = Field(
         default=60.0,
-        gt=0,
+        ge=SHORTEST_S,
         le=DAY_S,
         description="wall-clock seconds that a planner of your own has for one answer; built-in ones have no limit",
     )
@@ -105,15 +109,23 @@ class ControlConfig(_Options):
         " SCCs of the conflicts that pipeline meets while it plans) or, under other planners, of the level of traffic",
     )
     score_scc: int = Field(
-        default=5, ge=0, description="pipeline: weight of a strongly connected component in the score"
+        default=5, ge=0, le=MOST, description="pipeline: weight of a strongly connected component in the score"
     )
-    score_up: int = Field(default=24, ge=0, description="pipeline: the window grows when the score is above this")
-    score_down: int = Field(default=10, ge=0, description="pipeline: the window shrinks when the score is below this")
+    score_up: int = Field(
+        default=24, ge=0, le=MOST, description="pipeline: the window grows when the score is above this"
+    )
+    score_down: int = Field(
+        default=10, ge=0, le=MOST, description="pipeline: the window shrinks when the score is below this"
+    )
     boost_step: int = Field(
-        default=10, ge=0, description="priority an AGV gains for each move it could have made while it waited"
+        default=10, ge=0, le=MOST, description="priority an AGV gains for each move it could have made while it waited"
     )
-    boost_after: int = Field(default=5, ge=1, description="moves' time of waiting from which on it gains boost_max")
-    boost_max: int = Field(default=1000, ge=0, description="priority an AGV gains when it has waited for that long")
+    boost_after: int = Field(
+        default=5, ge=1, le=MOST, description="moves' time of waiting from which on it gains boost_max"
+    )
+    boost_max: int = Field(
+        default=1000, ge=0, le=MOST, description="priority an AGV gains when it has waited for that long"
+    )
     adapt_boost: float = Field(
         default=1.0,
         ge=1,
@@ -122,12 +134,14 @@ class ControlConfig(_Options):
         " many times shorter; 1 is always the same",
     )
     stuck_s: float = Field(
-        default=120.0, gt=0, le=DAY_S, description="seconds without progress after which an AGV is stuck"
+        default=120.0, ge=SHORTEST_S, le=DAY_S, description="seconds without progress after which an AGV is stuck"
     )
-    cbs_group: int = Field(default=5, ge=2, description="partial CBS: AGVs in a group at most")
-    cbs_expansions: int = Field(default=64, ge=1, description="partial CBS: expansions of the constraint tree at most")
-    cbs_nodes: int = Field(default=128, ge=1, description="partial CBS: nodes of the constraint tree at most")
-    cbs_constraints: int = Field(default=64, ge=1, description="partial CBS: constraints of a node at most")
+    cbs_group: int = Field(default=5, ge=2, le=MOST, description="partial CBS: AGVs in a group at most")
+    cbs_expansions: int = Field(
+        default=64, ge=1, le=MOST, description="partial CBS: expansions of the constraint tree at most"
+    )
+    cbs_nodes: int = Field(default=128, ge=1, le=MOST, description="partial CBS: nodes of the constraint tree at most")
+    cbs_constraints: int = Field(default=64, ge=1, le=MOST, description="partial CBS: constraints of a node at most")
     adapt_cbs: float = Field(
         default=1.0,
         ge=1,
@@ -154,17 +168,19 @@ class AgvConfig(_Options):
     empty_accel: float = Field(default=0.5, ge=0.01, le=10, description="acceleration without a car, m/s2")
     loaded_accel: float = Field(default=0.3, ge=0.01, le=10, description="acceleration with a car, m/s2")
     braking: float = Field(default=0.8, ge=0.01, le=10, description="deceleration, m/s2")
-    empty_turn_dps: float = Field(default=30.0, ge=0.1, description="turning in place without a car, degrees/s")
-    loaded_turn_dps: float = Field(default=20.0, ge=0.1, description="turning in place with a car, degrees/s")
+    empty_turn_dps: float = Field(
+        default=30.0, ge=0.1, le=3600, description="turning in place without a car, degrees/s"
+    )
+    loaded_turn_dps: float = Field(default=20.0, ge=0.1, le=3600, description="turning in place with a car, degrees/s")
     lift_s: float = Field(default=20.0, ge=0, le=DAY_S, description="lifting a car, seconds")
     lower_s: float = Field(default=15.0, ge=0, le=DAY_S, description="lowering a car, seconds")
-    length_m: float = Field(default=4.7, gt=0, le=20, description="length of the AGV, with or without a car, metres")
-    width_m: float = Field(default=2.0, gt=0, le=5, description="width of the AGV, with or without a car, metres")
-    empty_kg: float = Field(default=1500.0, gt=0, le=1e6, description="mass of the AGV, kg")
+    length_m: float = Field(default=4.7, ge=0.1, le=20, description="length of the AGV, with or without a car, metres")
+    width_m: float = Field(default=2.0, ge=0.1, le=5, description="width of the AGV, with or without a car, metres")
+    empty_kg: float = Field(default=1500.0, ge=1, le=1e6, description="mass of the AGV, kg")
     car_kg: float = Field(default=1800.0, ge=0, le=1e6, description="mass of a car, kg")
     idle_w: float = Field(default=150.0, ge=0, le=1e6, description="power that electronics draw all the time, W")
     battery_wh: float = Field(
-        default=6000.0, gt=0, le=50_000, description="battery capacity, Wh; the default lasts about 8 hours of driving"
+        default=6000.0, ge=1, le=50_000, description="battery capacity, Wh; the default lasts about 8 hours of driving"
     )
     charge_w: float = Field(default=5000.0, ge=100, le=1e6, description="charging power, W")
     charge_below: float = Field(default=0.3, ge=0, lt=1, description="state of charge that sends it to charge, 0 to 1")
@@ -186,17 +202,24 @@ class CustomerConfig(_Options):
     """Customers and their cars."""
 
     handling_median_s: float = Field(
-        default=60.0, gt=0, le=DAY_S, description="median time a customer takes at the bay to get in or out, seconds"
+        default=60.0,
+        ge=SHORTEST_S,
+        le=DAY_S,
+        description="median time a customer takes at the bay to get in or out, seconds",
     )
     handling_sigma: float = Field(
         default=0.5, ge=0, le=3, description="sigma of the lognormal handling time; 0: always the median"
     )
     balk_cars: int | None = Field(
-        default=None, ge=1, description="cars in the queue at which a customer who comes turns away; default: never"
+        default=None,
+        ge=1,
+        le=MOST,
+        description="cars in the queue at which a customer who comes turns away; default: never",
     )
     balk_min: float | None = Field(
         default=None,
         gt=0,
+        le=1e6,
         description="expected wait in the queue at which a customer who comes turns away, minutes: cars in the queue"
         " times the time that a car stands at its head of late; default: never",
     )
@@ -206,7 +229,7 @@ class RecordConfig(_Options):
     """What is written down besides events, tasks and metrics."""
 
     sample_s: float = Field(
-        default=2.0, gt=0, le=DAY_S, description="interval of the AGVs' sampled trajectory, seconds"
+        default=2.0, ge=SHORTEST_S, le=DAY_S, description="interval of the AGVs' sampled trajectory, seconds"
     )
     plans: bool = Field(default=True, description="write the AGVs' plans whenever a sample finds them changed")
     replay: bool = Field(default=True, description="write the replay of a single run beside its report")
@@ -228,9 +251,13 @@ class Scenario(_Options):
         min_length=1,
         description="a shipped garage's name, or a net file; a relative path counts from this file's folder",
     )
-    agvs: int = Field(ge=1, description="number of AGVs")
-    bays: int | None = Field(default=None, ge=1, description="bays in use, the first ones; default: all")
-    chargers: int | None = Field(default=None, ge=0, description="chargers in use, the first ones; default: all")
+    agvs: int = Field(ge=1, le=MOST_PLACES, description="number of AGVs")
+    bays: int | None = Field(
+        default=None, ge=1, le=MOST_PLACES, description="bays in use, the first ones; default: all"
+    )
+    chargers: int | None = Field(
+        default=None, ge=0, le=MOST_PLACES, description="chargers in use, the first ones; default: all"
+    )
     homes: list[str] | None = Field(
         default=None,
         min_length=1,
@@ -250,10 +277,16 @@ class Scenario(_Options):
     seed: int = Field(default=0, ge=0, lt=2**31, description="seed of every random stream of the run")
     workload: WorkloadConfig = Field(default_factory=ParkExit, description="what the customers want")
     duration_s: float | None = Field(
-        default=None, gt=0, description="end of the run in simulated seconds; default: when every request is finished"
+        default=None,
+        gt=0,
+        le=LONGEST_S,
+        description="end of the run in simulated seconds; default: when every request is finished",
     )
     max_time_s: float = Field(
-        default=2_592_000.0, gt=0, description="simulated seconds after which a run without an end is given up"
+        default=2_592_000.0,
+        gt=0,
+        le=LONGEST_S,
+        description="simulated seconds after which a run without an end is given up",
     )
     step_s: float = Field(default=0.5, gt=0, le=1, description="SUMO's step, seconds; whole milliseconds")
     control: ControlConfig = Field(default_factory=ControlConfig, description="clock, window and limits")

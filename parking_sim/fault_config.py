@@ -17,6 +17,8 @@ DRAWN_FAULTS: tuple[AnyFault, ...] = (*AGV_FAULTS, *PLACE_FAULTS, "all_stop")
 
 #: Longest that a fault may last: some three hundred years, longer than any run.
 LONGEST_S = 1e10
+#: Shortest one.
+SHORTEST_S = 1e-6
 
 
 class _Options(BaseModel):
@@ -27,8 +29,8 @@ class Drawn(_Options):
     """Faults of one kind that come as a Poisson stream and last a uniformly drawn time."""
 
     per_h: float = Field(ge=0, le=3600, description="mean number in an hour free of it: of each AGV, or of the floor")
-    least_s: float = Field(default=10.0, gt=0, le=LONGEST_S, description="shortest one, seconds")
-    most_s: float = Field(default=60.0, gt=0, le=LONGEST_S, description="longest one, seconds")
+    least_s: float = Field(default=10.0, ge=SHORTEST_S, le=LONGEST_S, description="shortest one, seconds")
+    most_s: float = Field(default=60.0, ge=SHORTEST_S, le=LONGEST_S, description="longest one, seconds")
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -53,9 +55,11 @@ class Breakdown(Drawn):
     """An AGV stands until a tow has come, is towed (with its car to where that goes, then home), and repaired there."""
 
     least_s: float = Field(
-        default=300.0, gt=0, le=LONGEST_S, description="shortest time until the tow has come, seconds"
+        default=300.0, ge=SHORTEST_S, le=LONGEST_S, description="shortest time until the tow has come, seconds"
     )
-    most_s: float = Field(default=900.0, gt=0, le=LONGEST_S, description="longest time until the tow has come, seconds")
+    most_s: float = Field(
+        default=900.0, ge=SHORTEST_S, le=LONGEST_S, description="longest time until the tow has come, seconds"
+    )
     tow_share: float = Field(default=0.3, gt=0, le=1, description="share of its speed under tow")
     repair_s: float = Field(default=600.0, ge=0, le=LONGEST_S, description="repair at home, seconds")
 
@@ -64,38 +68,40 @@ class Battery(Drawn):
     """A battery is suddenly empty; the AGV stands until service has brought energy."""
 
     least_s: float = Field(
-        default=300.0, gt=0, le=LONGEST_S, description="shortest time until service has come, seconds"
+        default=300.0, ge=SHORTEST_S, le=LONGEST_S, description="shortest time until service has come, seconds"
     )
-    most_s: float = Field(default=600.0, gt=0, le=LONGEST_S, description="longest time until service has come, seconds")
+    most_s: float = Field(
+        default=600.0, ge=SHORTEST_S, le=LONGEST_S, description="longest time until service has come, seconds"
+    )
     brings: float = Field(default=0.2, gt=0, le=1, description="state of charge after service, 0 to 1")
 
 
 class ZoneStop(Drawn):
     """Emergency stop of everything round a place."""
 
-    radius_m: float = Field(default=15.0, gt=0, description="radius of the zone, metres")
+    radius_m: float = Field(default=15.0, gt=0, le=1e6, description="radius of the zone, metres")
 
 
 class Commands(_Options):
     """Commands that reach AGVs late. A lost one is sent again until it arrives; commands never overtake each other."""
 
     late: float = Field(default=0.0, ge=0, le=1, description="share of commands that come late")
-    late_s: float = Field(default=3.0, gt=0, le=LONGEST_S, description="delay of a late one, seconds")
-    lost: float = Field(default=0.0, ge=0, lt=1, description="share of commands lost, each time they are sent")
+    late_s: float = Field(default=3.0, ge=SHORTEST_S, le=LONGEST_S, description="delay of a late one, seconds")
+    lost: float = Field(default=0.0, ge=0, le=0.99, description="share of commands lost, each time they are sent")
     retry_s: float = Field(
-        default=5.0, gt=0, le=LONGEST_S, description="seconds after which a lost command is sent again"
+        default=5.0, ge=SHORTEST_S, le=LONGEST_S, description="seconds after which a lost command is sent again"
     )
 
 
 class Scripted(_Options):
     """One fault at a fixed time."""
 
-    at_s: float = Field(ge=0, description="when it begins, seconds")
+    at_s: float = Field(ge=0, le=LONGEST_S, description="when it begins, seconds")
     kind: AnyFault = Field(description="what happens")
     for_s: float = Field(
-        gt=0, le=LONGEST_S, description="how long it lasts, seconds; of a breakdown: until the tow has come"
+        ge=SHORTEST_S, le=LONGEST_S, description="how long it lasts, seconds; of a breakdown: until the tow has come"
     )
-    agv: int = Field(default=-1, ge=-1, description="number of the AGV, for faults of one AGV")
+    agv: int = Field(default=-1, ge=-1, le=1_000_000, description="number of the AGV, for faults of one AGV")
     place: str = Field(default="", description="name of the vertex: blocked, out of order, or the zone's centre")
 
     @model_validator(mode="after")

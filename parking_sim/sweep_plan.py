@@ -235,7 +235,7 @@ def _grid(grid: object, path: Path) -> dict[str, _Factor]:
         else:
             short = tell_apart(values)
         level = list(values.values()) if isinstance(values, dict) else values
-        factors[str(key)] = [({key: name}, {key: value}) for name, value in zip(short, level, strict=True)]
+        factors[str(key)] = [({str(key): name}, {str(key): value}) for name, value in zip(short, level, strict=True)]
     return factors
 
 
