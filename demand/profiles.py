@@ -35,7 +35,7 @@ from sumo_nets.yaml_file import YamlError, read_mapping
 
 Floats = NDArray[np.float64]
 Hour = Annotated[float, Field(ge=0, le=24)]
-Rate = Annotated[float, Field(ge=0, le=1e4)]
+Rate = Annotated[float, Field(ge=0, le=1e12)]
 
 
 class Profile(BaseModel):

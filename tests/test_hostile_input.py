@@ -17,6 +17,7 @@ from small_net import texts, write_net
 
 from demand.csv_file import Csv
 from demand.gate_logs.dialect import Dialect, read_movements
+from demand.gate_logs.log import read_gate_log
 from demand.profiles import find_profile
 from parking_sim.cli import main
 from parking_sim.config import check_scenario, load_scenario
@@ -233,6 +234,20 @@ def test_all_errors_of_a_file_are_told_at_once(tmp_path: Path) -> None:
     lines = refused(lambda: Csv(path="log.csv").demand(61, 0, tmp_path)).split("\n")
     assert [line.split(": ")[1] for line in lines[:2]] == ["row 2", "row 3"]
     assert lines[20] == "and 32 more"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("time,event,car\n1001-05-04 07:00,in,A\n2024-05-04 08:00,out,A\n", "at most 3660 days are valid"),
+        ("x," * 200_000 + "\n1,2\n", "no column for the time"),
+        ("x" * 200_000 + "\n1,2\n", "no column for the time"),
+        ("time,event\n" + "2024-99-99,in\n" * 50, "and 30 more"),
+    ],
+)
+def test_odd_gate_logs_are_refused(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(text)
+    refused(lambda: read_gate_log(tmp_path / "log.csv"), said)
 
 
 def test_words_of_a_file_do_not_drive_a_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

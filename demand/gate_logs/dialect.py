@@ -24,8 +24,8 @@ from sumo_nets.wording import shown
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar"}
 #: A header stands within the first lines; titles may come before it.
 _HEADER_LINES = 20
-#: Bytes of a log.
-_MOST_BYTES = 200 * MEGABYTE
+#: Bytes and columns of a log.
+_MOST_BYTES, _MOST_COLUMNS = 200 * MEGABYTE, 1000
 
 
 def _words(text: str) -> frozenset[str]:
@@ -231,9 +231,10 @@ def _find_header(lines: list[str], dialect: Dialect, path: Path) -> tuple[int, s
 
 def _split(line: str, separator: str) -> list[str]:
     try:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
+        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
     except csv.Error:  # a cell longer than any header's
         return []
+    return cells if len(cells) <= _MOST_COLUMNS else []
 
 
 def _candidates(header: list[str], given: Mapping[str, str]) -> dict[str, list[int]]:

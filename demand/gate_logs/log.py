@@ -20,6 +20,9 @@ from demand.gate_logs.mending import Move, mend
 from demand.profiles import Floats
 from sumo_nets.errors import InputError
 
+#: Days from a log's first movement to its last: ten years.
+_MOST_DAYS = 3660
+
 
 @dataclass(frozen=True)
 class GateLog:
@@ -75,7 +78,9 @@ def read_gate_log(path: Path, dialect: Dialect | None = None, keep_gaps: bool = 
     """
     movements = read_movements(path, dialect or Dialect())
     table = movements.table.sort_values("time", kind="stable")
-    first_day = table["time"].iloc[0].date()
+    first_day, last_day = (table["time"].iloc[place].date() for place in (0, -1))
+    if (last_day - first_day).days > _MOST_DAYS:
+        raise InputError(f"{path}: time: from {first_day} to {last_day}: at most {_MOST_DAYS} days are valid")
     hours = np.asarray((table["time"] - np.datetime64(first_day)) / np.timedelta64(1, "h"), dtype=np.float64)
     whole = ends(hours)
     holes = [] if keep_gaps else outages(hours, first_day, whole)
