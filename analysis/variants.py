@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -109,6 +109,8 @@ def value_text(value: Any) -> str:
         return json.dumps(value)
     if isinstance(value, Mapping):
         return _group_text(flatten(value), list(flatten(value)))
+    if not isinstance(value, Iterable):
+        return str(value)  # a date, which no key takes
     if any(isinstance(item, Mapping | list) for item in value):
         return f"{len(value)} entries" if len(value) > 1 else "1 entry"
     return " ".join(map(value_text, value)) or "none"

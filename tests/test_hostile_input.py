@@ -137,8 +137,9 @@ def test_sweeps_are_refused_by_number_before_they_are_laid_out(tmp_path: Path) -
     refused(lambda: load_sweep(path), "1000000000000 variants with 1 seeds are 1000000000000 runs: give at most")
     for seeds in ("1..2000000000", "1..1000000000000", "1" * 5000, "1..9" + ",1..90000" * 3):
         refused(lambda seeds=seeds: parse_seeds(seeds))
-    path.write_text("base: map1\ngrid: {1: [2]}\n")
-    refused(lambda: load_sweep(path), "1: ")
+    for grid, said in (("{1: [2]}", "1: "), ("{2024-01-01: [2]}", "2024-01-01: "), ("{agvs: [2024-01-01]}", "agvs: ")):
+        path.write_text(f"base: map1\ngrid: {grid}\n")
+        refused(lambda: load_sweep(path), said)
 
 
 def png(width: int, height: int, data: bytes) -> bytes:
