@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -109,7 +109,7 @@ def value_text(value: Any) -> str:
         return json.dumps(value)
     if isinstance(value, Mapping):
         return _group_text(flatten(value), list(flatten(value)))
-    if not isinstance(value, Iterable):
+    if not isinstance(value, Collection):
         return str(value)  # a date, which no key takes
     if any(isinstance(item, Mapping | list) for item in value):
         return f"{len(value)} entries" if len(value) > 1 else "1 entry"
