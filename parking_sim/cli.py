@@ -5,6 +5,7 @@ Everything heavy is imported where it is used, so that ``--help`` answers at onc
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -26,7 +27,7 @@ from parking_sim.reproduce import app as reproduce_app
 from parking_sim.shadowing import require_own_packages
 from sumo_nets.errors import InputError
 from sumo_nets.whole_file import write_whole
-from sumo_nets.wording import one_of
+from sumo_nets.wording import cut, one_of
 
 if TYPE_CHECKING:
     from analysis.clock import Clock
@@ -122,8 +123,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = UNFINISHED
     except OSError as error:
-        _complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
-        code = UNFINISHED
+        _complain(f"{cut(str(error.filename), 4000)}: {error.strerror}" if error.filename else str(error))
+        code = BAD_INPUT if error.errno == errno.ENAMETOOLONG else UNFINISHED
     raise SystemExit(128 + came[0] if came and code == INTERRUPTED else code)
 
 

@@ -16,6 +16,8 @@ from typing import Any
 
 import pytest
 import yaml
+from fuzz_files import mutated
+from fuzz_readers import READERS
 
 from demand.csv_file import Csv
 from parking_sim.assembly import assemble
@@ -70,11 +72,10 @@ def garble(text: str, rng: random.Random) -> str:
     return text
 
 
-def said_in_one_line(error: Exception) -> None:
-    message = " ".join(str(error).split())
-    assert message
-    assert "Traceback" not in message
-    assert len(message) < 1000
+def said_in_few_lines(error: Exception) -> None:
+    lines = str(error).split("\n")
+    assert len(lines) <= 21
+    assert all(line.strip() and len(line) < 4200 and "Traceback" not in line for line in lines)
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -90,7 +91,7 @@ def test_mutated_scenarios_are_taken_or_refused(name, tmp_path):
             if scenario.garage.startswith("map1") and scenario.agvs <= 64:
                 assemble(scenario)
         except (InputError, NetError) as error:
-            said_in_one_line(error)
+            said_in_few_lines(error)
             refused += 1
     assert 0 < refused < MUTANTS
 
@@ -105,7 +106,7 @@ def test_garbled_scenario_files_are_taken_or_refused(name, tmp_path):
         try:
             load_scenario(path)
         except InputError as error:
-            said_in_one_line(error)
+            said_in_few_lines(error)
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -134,7 +135,8 @@ def test_mutated_scenarios_run_or_leave_nothing(name, tmp_path, capsys):
         assert end.value.code in (0, 1, 2)
         assert (out / "run.json").is_file() == (end.value.code != 2)
         assert out.exists() == (end.value.code != 2)
-        assert (said.count("\n") == 1 and said.startswith("error: ")) == (end.value.code == 2)
+        refused = bool(said) and all(line.startswith("error: ") for line in said.splitlines())
+        assert refused == (end.value.code == 2)
 
 
 def ended(mutant: dict[str, Any]) -> dict[str, Any]:
@@ -161,7 +163,7 @@ def test_mutated_layouts_are_taken_or_refused(name):
         try:
             plan_garage(parse_layout(mutant, name))
         except LayoutError as error:
-            said_in_one_line(error)
+            said_in_few_lines(error)
             refused += 1
     assert 0 < refused < MUTANTS
 
@@ -175,6 +177,28 @@ def test_garbled_request_files_are_taken_or_refused(tmp_path):
         try:
             Csv(path="log.csv", initial_cars=["KA-2207"]).demand(61, 0, tmp_path)
         except InputError as error:
-            said_in_one_line(error)
+            said_in_few_lines(error)
             refused += 1
     assert 0 < refused < MUTANTS
+
+
+@pytest.mark.parametrize("name", sorted(READERS))
+def test_mutated_files_of_every_reader_are_taken_or_refused(name, tmp_path):
+    """The small form of ``benchmarks/fuzz.py``."""
+    rng = random.Random(name)
+    seeds = list(READERS[name].seeds())
+    refused = 0
+    for number in range(max(8, MUTANTS // 15)):
+        good = rng.choice(seeds)
+        spoilt = rng.choice(sorted(good))
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        for file, content in good.items():
+            changed = mutated(file, content, list(rng.choice(seeds).values()), rng) if file == spoilt else content
+            (folder / file).write_bytes(changed)
+        try:
+            READERS[name].read(folder)
+        except InputError as error:
+            said_in_few_lines(error)
+            refused += 1
+    assert refused
