@@ -1,8 +1,9 @@
 """An independent look at all bodies as rectangles: which of them overlap, and how close they come.
 
 SUMO does not see AGVs that cross at a small node, and the controller is what is to be checked. So this knows neither of
-them: step by step it is given rectangles, and is told which cars were set down and lifted. What it says of a step
-depends on that step's rectangles alone, whatever the length of a step or the speed of an AGV.
+them: step by step it is given rectangles, and is told which cars were set down and lifted. Between two steps a body
+goes straight from one pose to the next while it turns evenly. What two bodies do in between counts as what they do in a
+step; it is looked at until nothing nearer by more than ``FINE_M`` can have happened.
 
 An empty AGV is flat and may be under a parked car while it is aligned with it: it drives in and out lengthwise, the end
 that is under the car on the car's axis. Every other contact is an overlap. Only where the lane into a slot is too short
@@ -25,6 +26,8 @@ from sumo_nets.under_cars import ALIGNED_ASIDE_M, ALIGNED_DEG
 
 #: Bodies further apart than this are not measured.
 REACH_M = 10.0
+#: How exactly the least room between two steps is found, metres.
+FINE_M = 0.01
 _MAX_PAIRS = 4096
 _MOST_SINE = math.sin(math.radians(ALIGNED_DEG))
 
@@ -107,6 +110,7 @@ class FootprintCheck:
         self.turns: list[Nearness] = []  #: every turn of an empty AGV under a car in a cramped slot, when it began
         self._parked = _Parked()
         self._rows = np.zeros((0, 7))
+        self._before = np.zeros((0, 7))
         self._pairs = np.zeros((_MAX_PAIRS, 3), dtype=np.int64)
         self._least = np.full(2, np.inf)
         self._closest: list[Nearness | None] = [None, None]
@@ -159,8 +163,12 @@ class FootprintCheck:
         """
         if len(self._rows) != len(bodies.x):
             self._rows = np.full((len(bodies.x), 7), np.inf)
+            _fill(bodies.x, bodies.y, bodies.angle, bodies.length, bodies.width, self._rows)
+            self._before, looks = self._rows.copy(), True
+        else:
+            self._before[:], looks = self._rows, bool(self._touching)
         found, agv, other, near, near_car = _look(
-            bodies.x, bodies.y, bodies.angle, bodies.length, bodies.width, bodies.loaded, bool(self._touching),
+            bodies.x, bodies.y, bodies.angle, bodies.length, bodies.width, bodies.loaded, looks, self._before,
             self._rows, self._parked.rows, self._parked.half_diagonal_m, self._least, self._pairs,
         )  # fmt: skip
         if agv >= 0:
@@ -204,7 +212,7 @@ def rectangle_distance(a: FloatArray, b: FloatArray) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _look(  # type: ignore[no-untyped-def]
-    x, y, angle, length, width, loaded, look_at_all, rows, parked, half_diagonal_m, least, pairs
+    x, y, angle, length, width, loaded, look_at_all, before, rows, parked, half_diagonal_m, least, pairs
 ):
     """Update the rows; list touching pairs and whether they are turns under cars; lower ``least`` for AGVs and cars.
 
@@ -212,18 +220,22 @@ def _look(  # type: ignore[no-untyped-def]
     """
     n = len(x)
     moved = _fill(x, y, angle, length, width, rows)
+    way = np.zeros(n)  # how far any point of a body has moved, at most
+    for i in range(n):
+        if moved[i]:
+            way[i] = _way(before, i, rows, i)
     found, agv, other, near, near_car = 0, -1, -1, -1, -1
     # plain numbers, not rows, decide who is far away: a view of a row costs more than the comparison
     for i in range(n):
         if not (moved[i] or look_at_all):
             continue
-        x0, y0, size = rows[i, 0], rows[i, 1], rows[i, 6]
+        x0, y0, size = rows[i, 0], rows[i, 1], rows[i, 6] + way[i]
         for j in range(n):
-            limit = size + rows[j, 6] + min(least[0], REACH_M)
+            limit = size + rows[j, 6] + way[j] + min(least[0], REACH_M)
             dx, dy = rows[j, 0] - x0, rows[j, 1] - y0
             if dx * dx + dy * dy > limit * limit or j == i or (j < i and (moved[j] or look_at_all)):
                 continue
-            d = _distance(rows, i, rows, j, least[0])
+            d = _least_between(before, rows, i, before, rows, j, way[i] + way[j], least[0], -1)
             if d < least[0]:
                 least[0], agv, other = d, i, j
             if d == 0.0 and found < len(pairs):
@@ -237,9 +249,7 @@ def _look(  # type: ignore[no-untyped-def]
                 break
             if dx * dx + dy * dy > limit * limit:
                 continue
-            if _may_be_under(rows, i, parked, p, loaded[i]):
-                continue
-            d = _distance(rows, i, parked, p, least[1])
+            d = _least_between(before, rows, i, parked, parked, p, way[i], least[1], int(loaded[i]))
             turns = d == 0.0 and not loaded[i] and parked[p, 7] > 0.0
             if d < least[1] and not turns:
                 least[1], near, near_car = d, i, p
@@ -247,6 +257,79 @@ def _look(  # type: ignore[no-untyped-def]
                 pairs[found, 0], pairs[found, 1], pairs[found, 2] = i, -1 - p, turns
                 found += 1
     return found, agv, other, near, near_car
+
+
+@njit(cache=True, error_model="numpy")
+def _turned(a, i, b, j):  # type: ignore[no-untyped-def]
+    """Angle from the axis of a[i] to that of b[j], a right angle at most: an AGV that reverses turns no rectangle."""
+    sine, cosine = a[i, 2] * b[j, 3] - a[i, 3] * b[j, 2], a[i, 2] * b[j, 2] + a[i, 3] * b[j, 3]
+    return math.atan2(sine, cosine) if cosine >= 0.0 else math.atan2(-sine, -cosine)
+
+
+@njit(cache=True, error_model="numpy")
+def _way(a, i, b, j):  # type: ignore[no-untyped-def]
+    """How far any point of a body moves from the pose a[i] to b[j], at most."""
+    return math.hypot(b[j, 0] - a[i, 0], b[j, 1] - a[i, 1]) + abs(_turned(a, i, b, j)) * b[j, 6]
+
+
+@njit(cache=True, error_model="numpy")
+def _least_between(a0, a1, i, b0, b1, j, way, enough, load):  # type: ignore[no-untyped-def]
+    """The least room between two bodies from one step to the next; not exact where it is more than ``enough``.
+
+    A part of the time in which they move by ``way`` towards each other at most, and at whose ends they are d and e
+    apart, can't hold less than (d + e - way) / 2. It is halved as long as that is less than what was found.
+
+    Args:
+        a0, a1, i: the AGV before and now.
+        b0, b1, j: the other body before and now.
+        way: how far their points can have moved towards each other.
+        enough: what is to be undercut.
+        load: 1 or 0 for a loaded or empty AGV beside a parked car, under which it may be; -1 beside an AGV.
+    """
+    last, under_last = _distance(a1, i, b1, j, enough), _is_under(a1, i, b1, j, load)
+    best = np.inf if under_last else last
+    if way <= FINE_M or last - way >= enough or best == 0.0:
+        return best
+    first, under_first = _distance(a0, i, b0, j, np.inf), _is_under(a0, i, b0, j, load)
+    if under_first and under_last:
+        return best
+    last = _distance(a1, i, b1, j, np.inf)
+    best = min(np.inf if under_first else first, best)
+    one, two = np.empty((1, 7)), np.empty((1, 7))
+    parts = np.empty((64, 4))  # beginning, length, room at the beginning and at the end
+    parts[0, 0], parts[0, 1], parts[0, 2], parts[0, 3] = 0.0, 1.0, first, last
+    count = 1
+    while count and best > 0.0:
+        count -= 1
+        start, length, d, e = parts[count, 0], parts[count, 1], parts[count, 2], parts[count, 3]
+        if length * way <= FINE_M or (d + e - length * way) / 2.0 >= min(best, enough):
+            continue
+        half = length / 2.0
+        _between(a0, a1, i, start + half, one)
+        _between(b0, b1, j, start + half, two)
+        m = _distance(one, 0, two, 0, np.inf)
+        if not _is_under(one, 0, two, 0, load):
+            best = min(best, m)
+        parts[count, 0], parts[count, 1], parts[count, 2], parts[count, 3] = start, half, d, m
+        parts[count + 1, 0], parts[count + 1, 1], parts[count + 1, 2], parts[count + 1, 3] = start + half, half, m, e
+        count += 2
+    return best
+
+
+@njit(cache=True, error_model="numpy")
+def _between(a, b, i, t, row):  # type: ignore[no-untyped-def]
+    """The pose at a part t of the time from a[i] to b[i]: straight on, turning evenly."""
+    turned = t * _turned(a, i, b, i)
+    c, s = math.cos(turned), math.sin(turned)
+    row[0, 0], row[0, 1] = a[i, 0] + t * (b[i, 0] - a[i, 0]), a[i, 1] + t * (b[i, 1] - a[i, 1])
+    row[0, 2], row[0, 3] = a[i, 2] * c - a[i, 3] * s, a[i, 3] * c + a[i, 2] * s
+    row[0, 4], row[0, 5], row[0, 6] = b[i, 4], b[i, 5], b[i, 6]
+
+
+@njit(cache=True, error_model="numpy")
+def _is_under(a, i, b, j, load):  # type: ignore[no-untyped-def]
+    """Whether an AGV is where it may be under a parked car. ``load`` as in ``_least_between``."""
+    return load >= 0 and _may_be_under(a, i, b, j, load)
 
 
 @njit(cache=True, error_model="numpy")

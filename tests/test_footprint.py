@@ -98,12 +98,13 @@ def test_overlaps_are_counted_once_each_time_and_by_step():
     check = FootprintCheck()
     check.step(0.5, bodies((0, 0, 0), (8, 0, 0)))
     assert check.result().agvs.clear_m == pytest.approx(3.0)
-    for t in (1.0, 1.5, 2.0):  # they stand in each other: each step counts
+    for t in (1.0, 1.5, 2.0):  # they stand in each other: each step counts, and the one in which they part
         check.step(t, bodies((0, 0, 0), (4, 0, 0)))
     check.step(2.5, bodies((0, 0, 0), (8, 0, 0)))
+    check.step(2.75, bodies((0, 0, 0), (8, 0, 0)))
     check.step(3.0, bodies((0, 0, 0), (4, 1, 0)))
     result = check.result()
-    assert (result.overlaps, result.overlap_steps, result.least_m) == (2, 4, 0.0)
+    assert (result.overlaps, result.overlap_steps, result.least_m) == (2, 5, 0.0)
     assert [(e.time_s, e.agv, e.other) for e in check.events] == [(1.0, 0, 1), (3.0, 0, 1)]
 
 
@@ -125,29 +126,35 @@ def test_parked_cars_of_any_length_are_looked_at(front):
     check = FootprintCheck()
     check.step(0.5, long((0, 0, 0), (0, 100, 0), loaded=(0,)))
     check.lowered("bus", 0)
-    check.step(1.0, long((0, 50, 0), (0, 2.1, 0), loaded=(1,)))
+    check.step(1.0, long((-90, 0, 0), (0, 2.1, 0), loaded=(1,)))
     assert check.result().parked.clear_m == pytest.approx(0.1)
-    check.step(1.5, long((0, 50, 0), (front, 0, 0), loaded=(1,)))
+    check.step(1.5, long((-90, 0, 0), (front, 0, 0), loaded=(1,)))
     assert [(e.agv, e.other) for e in check.events] == [(1, "bus")]
 
 
-def park_at_origin(angle=0.0):
-    """A car set down with its front at the origin by AGV 0, which then has driven off."""
+#: Where AGV 0 is when it has driven straight out from under a car at the origin.
+AWAY = (90, 60, 0)
+
+
+def park_at_origin(angle=0.0, other=(0, 100, 0)):
+    """A car set down with its front at the origin by AGV 0, which then has driven off; AGV 1 is elsewhere."""
     check = FootprintCheck()
-    check.step(0.5, bodies((0, 0, angle), (0, 100, 0), loaded=(0,)))
+    check.step(0.5, bodies((0, 0, angle), other, loaded=(0,)))
     check.lowered("blue", 0)
-    check.step(1.0, bodies((0, 50, angle), (0, 100, 0)))
+    away = (60 * math.cos(math.radians(angle)), 60 * math.sin(math.radians(angle)), angle)
+    check.step(1.0, bodies(away, other))
+    check.step(1.0, bodies(AWAY, other))
     assert check.result().overlaps == 0
     return check
 
 
 def test_passing_a_parked_car():
     check = park_at_origin()
-    check.step(1.5, bodies((0, 50, 0), (0, 2.5, 0)))
+    check.step(1.5, bodies(AWAY, (0, 2.5, 0)))
     near = check.result().parked
     assert (near.agv, near.other) == (1, "blue")
     assert near.clear_m == pytest.approx(0.5)
-    check.step(2.0, bodies((0, 50, 0), (0, 1.5, 0)))
+    check.step(2.0, bodies(AWAY, (0, 1.5, 0)))
     assert check.result().overlaps == 1
     assert check.events[0].other == "blue"
 
@@ -161,20 +168,20 @@ def test_only_an_empty_agv_gets_under_a_car_and_only_along_its_axis():
     for loaded, overlaps in (((), 0), ((1,), 1)):
         check = park_at_origin()
         for n, x in enumerate(np.arange(-12.0, 0.0, 0.7)):
-            check.step(2.0 + n, bodies((0, 50, 0), (x, 0, 0), loaded=loaded))
+            check.step(2.0 + n, bodies(AWAY, (x, 0, 0), loaded=loaded))
         assert counts(check) == (overlaps, 0)
-    check = park_at_origin()
+    check = park_at_origin(other=(-2.5, -60, 90))
     for n, y in enumerate(np.arange(-6.0, 0.0, 0.7)):  # from the side
-        check.step(2.0 + n, bodies((0, 50, 0), (-2.5, y, 90)))
+        check.step(2.0 + n, bodies(AWAY, (-2.5, y, 90)))
     assert counts(check) == (1, 0)
 
 
 @pytest.mark.parametrize("step_m", [0.05, 0.5, 3.0, 9.0])
 def test_straight_in_under_a_car_and_out_again_is_no_overlap_at_any_length_of_step(step_m):
-    check = park_at_origin(30.0)
     axis = np.array([math.cos(math.radians(30)), math.sin(math.radians(30))])
+    check = park_at_origin(30.0, other=(*(-60 * axis), 30))
     for n, along in enumerate([*np.arange(-12.0, 0.0, step_m), *np.arange(0.0, -12.0, -step_m)]):
-        check.step(2.0 + n, bodies((0, 50, 30), (*(along * axis), 30)))
+        check.step(2.0 + n, bodies(AWAY, (*(along * axis), 30)))
     assert counts(check) == (0, 0)
     assert check.result().parked is None or check.result().parked.agv == 0
 
@@ -183,7 +190,7 @@ def test_straight_in_under_a_car_and_out_again_is_no_overlap_at_any_length_of_st
 def test_an_agv_at_a_right_angle_under_a_car_is_counted(loaded):
     """However it got there: this is the first time that it is seen near the car."""
     check = park_at_origin()
-    check.step(2.0, bodies((0, 50, 0), (-2.5, 2.5, 90), loaded=loaded))
+    check.step(2.0, bodies(AWAY, (-2.5, 2.5, 90), loaded=loaded))
     assert counts(check) == (1, 0)
     assert check.events[0].other == "blue"
 
@@ -226,11 +233,15 @@ def test_out_from_under_a_car_in_the_bend_of_a_spur(degrees, aside, overlaps):
 
 
 def test_an_agv_that_lifts_a_car_may_be_in_its_place_before_the_car_is_gone():
-    check = park_at_origin()
-    check.step(2.0, bodies((0, 50, 0), (0, 0, 180)))
-    check.step(2.5, bodies((0, 50, 0), (0.01, 0, 0), loaded=(1,)))
+    check = park_at_origin(other=(0, 40, 180))
+    check.step(1.5, bodies(AWAY, (40, 0, 180)))
+    check.step(2.0, bodies(AWAY, (0, 0, 180)))
     assert counts(check) == (0, 0)
-    check.step(3.0, bodies((0, 50, 0), (0.5, 0, 0), loaded=(1,)))
+    check = park_at_origin(other=(-40, 0, 0))
+    check.step(2.0, bodies(AWAY, (0.01, 0, 0)))
+    check.step(2.5, bodies(AWAY, (0.01, 0, 0), loaded=(1,)))
+    assert counts(check) == (0, 0)
+    check.step(3.0, bodies(AWAY, (0.5, 0, 0), loaded=(1,)))
     assert counts(check) == (1, 0)
 
 
@@ -287,7 +298,7 @@ def test_a_lifted_car_is_gone():
         check.lowered("blue", 1)
     check.lifted("blue")
     check.lifted("unknown")
-    check.step(1.5, bodies((0, 50, 0), (0, 0.5, 30), loaded=(1,)))
+    check.step(1.5, bodies(AWAY, (0, 0.5, 30), loaded=(1,)))
     assert check.result().overlaps == 0
 
 
@@ -317,3 +328,79 @@ def _rectangle(front):
     x, y, angle = front[0], front[1], math.radians(front[2])
     c, s = math.cos(angle), math.sin(angle)
     return np.array([x - 2.5 * c, y - 2.5 * s, c, s, 2.5, 1.0])
+
+
+# --- between two steps ------------------------------------------------------------------------------------------------
+
+
+def polygon(pose, length=5.0, width=2.0):
+    """A body by the middle of its front side, with nothing of the check's."""
+    x, y, degrees = pose
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return Polygon(
+        [
+            (x - b * c - a * s, y - b * s + a * c)
+            for b in (0, length)
+            for a in ((width / 2, -width / 2)[:: 1 if b else -1])
+        ]
+    )
+
+
+def along(start, end, t):
+    """Straight on by the middle of the body, its axis turning evenly the shorter way."""
+    middles = [
+        np.array([x - 2.5 * math.cos(math.radians(a)), y - 2.5 * math.sin(math.radians(a))]) for x, y, a in (start, end)
+    ]
+    angle = start[2] + t * ((end[2] - start[2] + 90) % 180 - 90)
+    middle = middles[0] + t * (middles[1] - middles[0])
+    return (*(middle + 2.5 * np.array([math.cos(math.radians(angle)), math.sin(math.radians(angle))])), angle)
+
+
+poses = st.tuples(st.floats(-8, 8), st.floats(-8, 8), st.floats(-180, 180))
+
+
+@settings(max_examples=60, deadline=None)
+@given(poses, poses, poses, poses)
+def test_what_two_bodies_do_between_two_steps_against_dense_sampling(a, b, c, d):
+    """AGV 0 goes from a to b while AGV 1 goes from c to d; polygons of 400 moments tell the least room."""
+    assume(all(abs((q[2] - p[2]) % 180 - 90) > 1 for p, q in ((a, b), (c, d))))
+    check = FootprintCheck()
+    check.step(1.0, bodies(a, c))
+    check.step(2.0, bodies(b, d))
+    parts = np.linspace(0, 1, 401)
+    sampled = min(polygon(along(a, b, t)).distance(polygon(along(c, d, t))) for t in parts)
+    fastest = max(
+        math.dist(along(p, q, 0)[:2], along(p, q, 1)[:2]) + math.radians(90) * 2.7 for p, q in ((a, b), (c, d))
+    )
+    found = min(check.result().least_m, REACH_M)
+    assert found <= min(sampled, REACH_M) + 0.011
+    assert found >= min(sampled, REACH_M) - 2 * fastest / 400
+
+
+def test_two_that_cross_between_two_steps_are_seen():
+    """In neither step do they touch: one drives through where the other one is half a step later."""
+    check = FootprintCheck()
+    check.step(0.5, bodies((-4, 0, 0), (0, -4, 90)))
+    assert check.result().overlaps == 0
+    check.step(1.0, bodies((12, 0, 0), (0, 12, 90)))
+    assert [(event.time_s, event.agv, event.other) for event in check.events] == [(1.0, 0, 1)]
+
+
+def test_the_least_room_between_two_steps_by_hand():
+    """A body passes the end of another one: nearest half-way, 1 m aside."""
+    check = FootprintCheck()
+    check.step(0.5, bodies((-3, 3, 0), (0, 0, 0)))
+    check.step(1.0, bodies((9, 3, 0), (0, 0, 0)))
+    assert check.result().least_m == pytest.approx(1.0, abs=0.011)
+
+
+def test_an_agv_that_swings_under_a_car_between_two_steps_is_seen():
+    """It stands aligned under the car in both steps, the other way round in the second one."""
+    check = FootprintCheck()
+    check.step(0.5, bodies((0, 0, 0), loaded=(0,)))
+    check.lowered("blue", 0)
+    check.step(1.0, bodies((-60, 0, 0)))
+    check.step(1.5, bodies((-3, 0, 0)))
+    assert counts(check) == (0, 0)
+    check.step(2.0, bodies((-3, 0.0, 50)))
+    assert counts(check) == (1, 0)
