@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
+import clearances
 import deadlock_tables
 import fault_tables
 import garage_tables
@@ -22,7 +23,9 @@ from docs_tables import Row, RunSet, Table
 
 __all__ = ["SETS", "TABLES", "Row", "RunSet", "Table"]
 
-_GROUPS = (garage_tables, fault_tables, planner_tables, thesis_tables, deadlock_tables, window_tables, garages)
+_GROUPS = (
+    garage_tables, fault_tables, planner_tables, thesis_tables, deadlock_tables, window_tables, garages, clearances,
+)  # fmt: skip
 
 #: In the order in which they are made.
 SETS: Mapping[str, RunSet] = {name: runs for group in _GROUPS for name, runs in group.SETS.items()}
