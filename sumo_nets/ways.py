@@ -33,8 +33,12 @@ def shut_in(graph: Graph) -> Iterator[str]:
     open_floor = max(nx.strongly_connected_components(passed), key=lambda part: (len(part & ends), len(part)))
     beyond = model.subgraph(set(model) - open_floor).to_undirected()
     for part in sorted(nx.connected_components(beyond), key=min):
-        behind = sorted(part & ends)
         gates = {slot for slot in open_floor.intersection(graph.slots) if part.intersection(model[slot])}
+        behind = sorted(part & ends)
+        if not gates and len(part) > 1:  # the slot that closes the way may lie on this side of it
+            own = part.intersection(graph.slots)
+            gates = {slot for slot in own if open_floor.intersection(nx.all_neighbors(model, slot))}
+            behind = sorted((part & ends) - gates)
         if behind and gates:
             yield (
                 f"no way to {_listed(graph, behind)} but through slots: cars parked in {_listed(graph, sorted(gates))}"

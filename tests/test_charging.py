@@ -230,6 +230,12 @@ def test_in_a_garage_that_is_accepted_no_parked_cars_shut_in_a_place(graph):
     assert not shut or list(shut_in(graph)) or not places <= reached(graph, set())
 
 
+def test_a_slot_between_the_bay_and_most_of_the_garage_is_refused_whichever_side_is_the_larger():
+    """Behind the first slot are as many places as before it, and more aisles."""
+    graph = grid_graph("far", ["br@..", ".@...", "e...e", "..ee."])
+    assert list(shut_in(graph)) == ["no way to 0,0, 1,0 but through slots: cars parked in 0,2 would shut them in"]
+
+
 def test_of_two_slots_between_two_aisles_each_is_left_at_its_own_end_and_a_third_between_them_is_refused():
     assert not list(shut_in(grid_graph("two", ["br.ee.", ".@@@@.", "......"])))
     line = grid_graph("line", ["br.eee.", ".@@@@@.", "......."])
