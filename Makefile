@@ -7,14 +7,15 @@ STAMP := $(VENV)/.installed
 .PHONY: demo test lint nets docs clean
 .DELETE_ON_ERROR:
 
+# --no-compile: most of what is installed is never imported
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -e '.[dev]'
 	touch $@
 
 # netconvert for the nets; the tests use all extras
 $(VENV)/.extras: $(STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[nets,cluster,tune]'
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -e '.[nets,cluster,tune]'
 	touch $@
 
 ## run the three garages, park every car and bring every car back, write the report
@@ -41,7 +42,7 @@ nets: $(VENV)/.extras
 	$(BIN)/parking-sim build-net --all
 
 $(VENV)/.docs: $(STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -e '.[docs]'
 	touch $@
 
 ## build the docs site into build/docs

@@ -28,7 +28,7 @@ from analysis.tables import Run, load_run
 REACH_M, PART_M = 4.0, 0.03
 #: An empty AGV may be under a parked car whose axis is turned by less than this, with its nearer end so near the axis.
 ALIGNED_DEG, ASIDE_M = 35.0, 0.3
-LENGTH_M, WIDTH_M = 4.7, 2.0
+LENGTH_M, WIDTH_M, CUSTOMER_WIDTH_M = 4.7, 2.0, 1.8
 
 Points = NDArray[np.float64]
 
@@ -65,10 +65,10 @@ def moments(path: Path, start_s: float) -> Iterator[Moment]:
             yield moment
 
 
-def body(ends: Points) -> Any:
+def body(ends: Points, width_m: float = WIDTH_M) -> Any:
     """The polygon of a body from the middles of its two ends."""
     way = (ends[0] - ends[1]) / np.hypot(*(ends[0] - ends[1]))
-    side = np.array([-way[1], way[0]]) * WIDTH_M / 2
+    side = np.array([-way[1], way[0]]) * width_m / 2
     return shapely.Polygon([ends[0] + side, ends[0] - side, ends[1] - side, ends[1] + side])
 
 
@@ -161,22 +161,24 @@ def _look(before: Moment, now: Moment, cars: Mapping[str, Points], found: Least)
             found.parked = min(found.parked, _nearest(way, (car, car), found.parked, n in now.loaded))
         for name, ends in now.customers.items():
             there = (before.customers.get(name, ends), ends)
-            found.customers = min(found.customers, _nearest(way, there, found.customers, None))
+            found.customers = min(found.customers, _nearest(way, there, found.customers, None, CUSTOMER_WIDTH_M))
 
 
-def _nearest(one: tuple[Points, Points], two: tuple[Points, Points], enough: float, under: bool | None) -> float:
+def _nearest(
+    one: tuple[Points, Points], two: tuple[Points, Points], enough: float, under: bool | None, width_m: float = WIDTH_M
+) -> float:
     """The least room between two bodies on their ways; ``under``: whether the AGV beside a parked car is loaded."""
     way_m = sum(float(np.hypot(*(b - a).T).max()) for a, b in (one, two))
     apart_m = float(np.hypot(*(one[1].mean(axis=0) - two[1].mean(axis=0)))) - math.hypot(LENGTH_M, WIDTH_M)
     if apart_m - way_m > min(enough, REACH_M):
         return math.inf
-    if body(one[1]).distance(body(two[1])) - way_m > min(enough, REACH_M):
+    if body(one[1]).distance(body(two[1], width_m)) - way_m > min(enough, REACH_M):
         return math.inf
     least = math.inf
     for t in np.linspace(0.0, 1.0, max(2, math.ceil(way_m / PART_M) + 1)):
         a, b = between(*one, t), between(*two, t)
         if under is None or not may_be_under(a, b, under):
-            least = min(least, float(body(a).distance(body(b))))
+            least = min(least, float(body(a).distance(body(b, width_m))))
     return least
 
 

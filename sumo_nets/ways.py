@@ -37,7 +37,9 @@ def shut_in(graph: Graph) -> Iterator[str]:
         behind = sorted(part & ends)
         if not gates and len(part) > 1:  # the slot that closes the way may lie on this side of it
             own = part.intersection(graph.slots)
-            gates = {slot for slot in own if open_floor.intersection(nx.all_neighbors(model, slot))}
+            gates = {
+                slot for slot in own if open_floor.intersection({*model.successors(slot), *model.predecessors(slot)})
+            }
             behind = sorted((part & ends) - gates)
         if behind and gates:
             yield (

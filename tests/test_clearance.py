@@ -2,6 +2,7 @@
 
 import math
 
+import clearances
 import numpy as np
 import pytest
 from shapely import LineString, Polygon
@@ -54,3 +55,11 @@ def test_nobody_who_drives_past_a_vertex_touches_who_has_left_it(name, every, ki
         assert not any(body(kind, own, clear[e]).intersects(other) for other in swept)
         needed += any(body(kind, own, kind.width_m / 2 + 0.05).intersects(other) for other in swept)
     assert needed > 0
+
+
+def test_the_least_room_is_the_same_by_the_check_and_from_sumos_floating_car_data():
+    """Two witnesses that share no line: five centimetres, with faults, parked cars and customers on the street."""
+    found = clearances.run_clearances({"garage": "map1", "agvs": 6, "planner": "whca", "minutes": 2.0})
+    assert found["overlaps"] == 0
+    assert found["in_run_m"] < clearances.REACH_M
+    assert abs(found["in_run_m"] - found["fcd_m"]) < 0.05

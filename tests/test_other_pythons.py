@@ -45,6 +45,7 @@ def environment(version: str, python: str, wheel: Path) -> Path:
     folder = ROOT / "build" / "pythons" / version
     stamp = folder / "needs.txt"
     pip = [folder / "bin" / "python", "-m", "pip", "--quiet", "--disable-pip-version-check", "--no-input", "install"]
+    pip.append("--no-compile")  # most of what is installed is never imported
     if not stamp.is_file() or stamp.read_text() != needs:
         shutil.rmtree(folder, ignore_errors=True)
         subprocess.run([python, "-m", "venv", folder], check=True)
