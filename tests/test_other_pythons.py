@@ -1,6 +1,7 @@
 """The wheel on the other Pythons that it names, each in an empty environment, where such a Python is installed.
 
-The newest Python is tried, and each one with ``PARKING_SIM_ALL_PYTHONS=1``: an environment takes two minutes.
+The newest Python is tried. With ``PARKING_SIM_ALL_PYTHONS=1`` each one is, and the oldest versions of all packages that
+``pyproject.toml`` allows: an environment takes two minutes.
 Environments stay in ``build/pythons``: packages are installed once, and anew when ``pyproject.toml`` has changed.
 """
 
@@ -12,6 +13,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -39,17 +41,17 @@ def find_python(version: str) -> str | None:
     return None
 
 
-def environment(version: str, python: str, wheel: Path) -> Path:
+def environment(version: str, python: str, wheel: Path, packages: tuple[str, ...] = ()) -> Path:
     """The folder of programs of an environment in which the wheel and all that it needs are installed."""
     needs = hashlib.sha256((ROOT / "pyproject.toml").read_bytes()).hexdigest()
-    folder = ROOT / "build" / "pythons" / version
+    folder = ROOT / "build" / "pythons" / (f"{version}-oldest" if packages else version)
     stamp = folder / "needs.txt"
     pip = [folder / "bin" / "python", "-m", "pip", "--quiet", "--disable-pip-version-check", "--no-input", "install"]
     pip.append("--no-compile")  # most of what is installed is never imported
     if not stamp.is_file() or stamp.read_text() != needs:
         shutil.rmtree(folder, ignore_errors=True)
         subprocess.run([python, "-m", "venv", folder], check=True)
-        done = subprocess.run([*pip, wheel], capture_output=True, text=True, check=False)
+        done = subprocess.run([*pip, wheel, *packages], capture_output=True, text=True, check=False)
         if any(words in done.stderr for words in NO_NETWORK):
             pytest.skip(f"Python {version} was not tried: pip reaches no packages for it")
         assert done.returncode == 0, done.stderr
@@ -59,13 +61,38 @@ def environment(version: str, python: str, wheel: Path) -> Path:
     return folder / "bin"
 
 
+def oldest() -> tuple[str, ...]:
+    """The oldest version of each package that is allowed, in pip's words."""
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        needed = tomllib.load(file)["project"]["dependencies"]
+    return tuple(re.sub(r">=([\d.]+),.*", r"==\1.*", need) for need in needed)
+
+
+def test_every_package_has_an_oldest_and_a_newest_version() -> None:
+    assert all(re.fullmatch(r"[a-z0-9]+(==[\d.]+|==[\d.]+\.\*)", need) for need in oldest())
+
+
 @pytest.mark.parametrize("version", OTHERS)
 def test_the_wheel_runs_on(version: str, tmp_path: Path) -> None:
     pytest.importorskip("hatchling")
     python = find_python(version)
     if python is None:
         pytest.skip(f"Python {version} was not tried: there is none here; install python{version} to try it")
-    programs = environment(version, python, build(tmp_path))
+    check_runs(environment(version, python, build(tmp_path)), tmp_path)
+
+
+if "PARKING_SIM_ALL_PYTHONS" in os.environ:
+
+    def test_the_wheel_runs_with_the_oldest_packages(tmp_path: Path) -> None:
+        python = find_python(NAMED[0])
+        assert python is not None
+        check_runs(environment(NAMED[0], python, build(tmp_path), oldest()), tmp_path)
+
+
+def check_runs(programs: Path, tmp_path: Path) -> None:
+    """All packages fit each other, and the program runs."""
+    checked = subprocess.run([programs / "python", "-m", "pip", "check"], capture_output=True, text=True, check=False)
+    assert checked.returncode == 0, checked.stdout
     (tmp_path / "quick.yaml").write_text(QUICK, encoding="utf-8")
     for command, told in COMMANDS.items():
         words = [programs / "parking-sim", *command.split()]
