@@ -379,3 +379,34 @@ def test_handling_times_depend_on_the_order_of_requests_alone():
 def test_more_cars_than_slots_cannot_stand_there_at_the_start():
     with pytest.raises(ValueError, match="5 cars for 4 slots"):
         with_cars("a", "b", "c", "d", "e")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda g: setattr(g, "unfinished", g.unfinished + 1), "requests: the count of unfinished ones is off"),
+        (lambda g: setattr(g, "coming", g.coming + 1), "cars: the count of those on their way in is off"),
+        (lambda g: setattr(g, "left", g.left - 1), "cars: 2 at the start + 1 arrived != 2 parked + -1 left"),
+        (lambda g: g.slot_of.update({g.parked["a"]: ""}), "slots and parked cars disagree"),
+    ],
+)
+def test_books_that_are_off_are_told(spoil, says):
+    garage = with_cars("a", "b", handover="bay")
+    park(garage, "c")
+    assert garage.audit() == []
+    spoil(garage)
+    assert any(problem.startswith(says) for problem in garage.audit()), garage.audit()
+
+
+def test_a_slot_from_which_a_car_was_lifted_is_free_unless_it_is_promised_or_taken():
+    garage = with_cars("a", "b")
+    slot = garage.parked["a"]
+    number = garage._slot_number[slot]
+    garage.vacate(slot)
+    assert not garage.slot_free[number], "a car is there"
+    garage.slot_of[slot], garage.reserved[slot] = "", 3
+    garage.vacate(slot)
+    assert not garage.slot_free[number], "it is promised"
+    del garage.reserved[slot]
+    garage.vacate(slot)
+    assert garage.slot_free[number]

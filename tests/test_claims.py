@@ -1,0 +1,119 @@
+"""Which AGV a bay is promised to, on a floor where every way can be counted."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from brute_force import classic
+
+from controller.claims import Claims
+from controller.costs import Costs
+from controller.executor import Executor
+from controller.fleet import Agv
+from controller.garage import Customers, Garage
+from controller.types import Action, AgvMode, Request, RequestKind
+from sumo_nets.graph import Graph, make_graph
+
+#: Two bays at the ends of a row of six, one step from one to the next; a slot and a home beside the middle.
+NAMES = ("left", "a", "b", "c", "d", "e", "right", "slot", "home")
+
+
+def row() -> Graph:
+    ways = [*pairwise(NAMES[:7]), ("c", "slot"), ("d", "home")]
+    edges = [(f"{u}>{v}", u, v, 5.0) for pair in ways for u, v in (pair, pair[::-1])]
+    vertices = [(name, 5.0 * x, 0.0) for x, name in enumerate(NAMES[:7])]
+    vertices += [("slot", 15.0, 5.0), ("home", 20.0, 5.0)]
+    return make_graph("row", vertices, edges, {"slot": ("slot",), "bay": ("left", "right"), "home": ("home",)})
+
+
+GRAPH = row()
+AT = GRAPH.index
+
+
+class Floor:
+    """A garage with AGVs at places, and the claims on its bays."""
+
+    def __init__(self, *places: str, lift_steps: int = 10) -> None:
+        motion, starts = classic(GRAPH), [AT[name] for name in places]
+        self.garage = Garage(GRAPH, "bay", np.random.default_rng(1), Customers(10.0))
+        self.agvs = [Agv(n, start, start) for n, start in enumerate(starts)]
+        executor = Executor(GRAPH, motion, starts)
+        self.executor = executor
+        self.claims = Claims(self.garage, self.agvs, executor, Costs(GRAPH, motion, self.garage.blocked), lift_steps)
+
+    def task(self):
+        """A retrieval on its way, lifted at the start."""
+        task = self.garage.request(Request(0.0, RequestKind.PARK, f"car{len(self.garage.tasks)}"), 0.0)
+        task.lifted_s = 0.0
+        return task
+
+    def promised(self, *agvs: int, step: int = 0, behind: bool = True) -> dict[int, str]:
+        found = self.claims.promise_bays({n: self.task() for n in agvs}, step, frozenset(), behind)
+        return {n: GRAPH.names[bay] for n, bay in found.items()}
+
+    def works(self, agv: int, bay: str, action: Action, steps: int) -> None:
+        """An AGV that holds a bay lifts or lowers a car there for so many steps."""
+        self.claims.holder[AT[bay]] = agv
+        self.agvs[agv].goal, self.agvs[agv].action, self.agvs[agv].mode = AT[bay], action, AgvMode.GOING_TO_COLLECT
+        self.executor.act(agv, action, steps, 0)
+
+
+def test_nearer_is_less_and_not_as_far():
+    claims = Floor("a").claims
+    assert claims.nearer_to_bays(AT["a"], AT["b"])
+    assert not claims.nearer_to_bays(AT["b"], AT["a"])
+    assert not claims.nearer_to_bays(AT["a"], AT["e"])  # a step from either bay
+
+
+@pytest.mark.parametrize(("lift_steps", "bay"), [(10, "right"), (6, "right"), (3, "left"), (0, "left")])
+def test_a_bay_whose_outbound_place_is_taken_counts_half_a_lift_more(lift_steps, bay):
+    """From b it is 2 steps to the left bay and 4 to the right one: half a lift of 6 is more than what that saves."""
+    floor = Floor("b", lift_steps=lift_steps)
+    floor.garage.bays[AT["left"]].outbound = floor.task()
+    assert floor.promised(0) == {0: bay}
+    assert floor.claims.holder == {AT[bay]: 0}
+
+
+def test_a_free_bay_is_not_made_dearer():
+    assert Floor("b", lift_steps=100).promised(0) == {0: "left"}
+
+
+def test_a_bay_that_another_agv_is_about_to_leave_is_promised_behind_it():
+    floor = Floor("left", "right", "b")
+    floor.works(0, "left", Action.LOWER, 2)
+    floor.works(1, "right", Action.LOWER, 2)
+    assert floor.promised(2, behind=False) == {}
+    assert floor.promised(2) == {2: "left"}
+    assert floor.claims.next == {AT["left"]: 2}
+    floor.claims.release(AT["left"], 0)
+    floor.claims.move_up()
+    assert (floor.claims.holder[AT["left"]], floor.claims.next) == (2, {})
+
+
+def test_an_agv_that_would_come_before_the_bay_is_left_does_not_get_it():
+    floor = Floor("left", "right", "b")
+    floor.works(0, "left", Action.LOWER, 3)  # two steps away, left in three
+    floor.works(1, "right", Action.LOWER, 3)  # four steps away
+    assert floor.promised(2) == {2: "right"}
+
+
+@pytest.mark.parametrize(("ready_s", "lift_steps", "bay"), [(0.0, 1, "left"), (0.0, 4, "right"), (99.0, 1, "right")])
+def test_a_car_that_waits_at_the_bay_is_lifted_first(ready_s, lift_steps, bay):
+    """The AGV that lowers a car takes the one that waits there; while that is not ready, the bay is nobody else's."""
+    floor = Floor("left", "right", "b", lift_steps=lift_steps)
+    floor.works(0, "left", Action.LOWER, 1)
+    floor.works(1, "right", Action.LOWER, 1)
+    waits = floor.garage.request(Request(0.0, RequestKind.PARK, "waits"), 0.0)
+    waits.at_bay_s, waits.ready_s = 0.0, ready_s
+    floor.garage.bays[AT["left"]].inbound = waits
+    assert floor.promised(2) == {2: bay}
+
+
+def test_bays_of_agvs_that_are_out_of_order_or_closed_are_not_promised():
+    floor = Floor("left", "right", "b")
+    floor.works(0, "left", Action.LOWER, 1)
+    floor.works(1, "right", Action.LOWER, 1)
+    floor.agvs[0].immobile = True
+    assert floor.claims.promise_bays({2: floor.task()}, 0, frozenset({AT["right"]}), True) == {}
