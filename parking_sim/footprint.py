@@ -3,7 +3,8 @@
 SUMO does not see AGVs that cross at a small node, and the controller is what is to be checked. So this knows neither of
 them: step by step it is given rectangles, and is told which cars were set down and lifted. Between two steps a body
 goes straight from one pose to the next while it turns evenly. What two bodies do in between counts as what they do in a
-step; it is looked at until nothing nearer by more than ``FINE_M`` can have happened.
+step; it is looked at until nothing nearer by more than ``FINE_M`` can have happened. A body that goes far in a step, or
+round a bend, does not go straight: of such a step its rectangles alone are looked at (``STRAIGHT_M``, ``BEND_M``).
 
 An empty AGV is flat and may be under a parked car while it is aligned with it: it drives in and out lengthwise, the end
 that is under the car on the car's axis. Every other contact is an overlap. Only where the lane into a slot is too short
@@ -26,6 +27,9 @@ from sumo_nets.under_cars import ALIGNED_ASIDE_M, ALIGNED_DEG
 
 #: Bodies further apart than this are not measured.
 REACH_M = 10.0
+#: A body goes straight from one step to the next if it goes no further than this, and if the straight way is not
+#: further from an arc than that, metres.
+STRAIGHT_M, BEND_M = 2.0, 0.05
 #: How exactly the least room between two steps is found, metres.
 FINE_M = 0.01
 _MAX_PAIRS = 4096
@@ -222,8 +226,10 @@ def _look(  # type: ignore[no-untyped-def]
     moved = _fill(x, y, angle, length, width, rows)
     way = np.zeros(n)  # how far any point of a body has moved, at most
     for i in range(n):
-        if moved[i]:
+        if moved[i] and _goes_straight(before, i, rows, i):
             way[i] = _way(before, i, rows, i)
+        else:
+            before[i] = rows[i]
     found, agv, other, near, near_car = 0, -1, -1, -1, -1
     # plain numbers, not rows, decide who is far away: a view of a row costs more than the comparison
     for i in range(n):
@@ -264,6 +270,13 @@ def _turned(a, i, b, j):  # type: ignore[no-untyped-def]
     """Angle from the axis of a[i] to that of b[j], a right angle at most: an AGV that reverses turns no rectangle."""
     sine, cosine = a[i, 2] * b[j, 3] - a[i, 3] * b[j, 2], a[i, 2] * b[j, 2] + a[i, 3] * b[j, 3]
     return math.atan2(sine, cosine) if cosine >= 0.0 else math.atan2(-sine, -cosine)
+
+
+@njit(cache=True, error_model="numpy")
+def _goes_straight(a, i, b, j):  # type: ignore[no-untyped-def]
+    """Whether a body's way from one step to the next is near enough to a straight one."""
+    metres = math.hypot(b[j, 0] - a[i, 0], b[j, 1] - a[i, 1])
+    return metres <= STRAIGHT_M and metres * abs(_turned(a, i, b, j)) / 8.0 <= BEND_M
 
 
 @njit(cache=True, error_model="numpy")

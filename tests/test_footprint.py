@@ -98,13 +98,13 @@ def test_overlaps_are_counted_once_each_time_and_by_step():
     check = FootprintCheck()
     check.step(0.5, bodies((0, 0, 0), (8, 0, 0)))
     assert check.result().agvs.clear_m == pytest.approx(3.0)
-    for t in (1.0, 1.5, 2.0):  # they stand in each other: each step counts, and the one in which they part
+    for t in (1.0, 1.5, 2.0):  # they stand in each other: each step counts
         check.step(t, bodies((0, 0, 0), (4, 0, 0)))
     check.step(2.5, bodies((0, 0, 0), (8, 0, 0)))
     check.step(2.75, bodies((0, 0, 0), (8, 0, 0)))
     check.step(3.0, bodies((0, 0, 0), (4, 1, 0)))
     result = check.result()
-    assert (result.overlaps, result.overlap_steps, result.least_m) == (2, 5, 0.0)
+    assert (result.overlaps, result.overlap_steps, result.least_m) == (2, 4, 0.0)
     assert [(e.time_s, e.agv, e.other) for e in check.events] == [(1.0, 0, 1), (3.0, 0, 1)]
 
 
@@ -356,42 +356,40 @@ def along(start, end, t):
     return (*(middle + 2.5 * np.array([math.cos(math.radians(angle)), math.sin(math.radians(angle))])), angle)
 
 
-poses = st.tuples(st.floats(-8, 8), st.floats(-8, 8), st.floats(-180, 180))
+poses = st.tuples(st.floats(-6, 6), st.floats(-6, 6), st.floats(-180, 180))
+steps = st.tuples(st.floats(-1.4, 1.4), st.floats(-1.4, 1.4), st.floats(-10, 10))
 
 
-@settings(max_examples=60, deadline=None)
-@given(poses, poses, poses, poses)
-def test_what_two_bodies_do_between_two_steps_against_dense_sampling(a, b, c, d):
-    """AGV 0 goes from a to b while AGV 1 goes from c to d; polygons of 400 moments tell the least room."""
-    assume(all(abs((q[2] - p[2]) % 180 - 90) > 1 for p, q in ((a, b), (c, d))))
+def moved(pose, step):
+    """A pose whose middle has gone on by so many metres, turned by so many degrees; an AGV may have reversed."""
+    x, y, angle = along(pose, pose, 0.0)
+    middle = np.array([x, y]) - 2.5 * np.array([math.cos(math.radians(angle)), math.sin(math.radians(angle))])
+    turned = math.radians(angle + step[2])
+    front = middle + np.array(step[:2]) + 2.5 * np.array([math.cos(turned), math.sin(turned)])
+    return (*front, angle + step[2])
+
+
+@settings(max_examples=80, deadline=None)
+@given(poses, steps, poses, steps)
+def test_what_two_bodies_do_between_two_steps_against_dense_sampling(a, to_b, c, to_d):
+    """AGV 0 goes from a to b while AGV 1 goes from c to d; polygons of 200 moments tell the least room."""
+    b, d = moved(a, to_b), moved(c, to_d)
     check = FootprintCheck()
     check.step(1.0, bodies(a, c))
     check.step(2.0, bodies(b, d))
-    parts = np.linspace(0, 1, 401)
+    parts = np.linspace(0, 1, 201)
     sampled = min(polygon(along(a, b, t)).distance(polygon(along(c, d, t))) for t in parts)
-    fastest = max(
-        math.dist(along(p, q, 0)[:2], along(p, q, 1)[:2]) + math.radians(90) * 2.7 for p, q in ((a, b), (c, d))
-    )
     found = min(check.result().least_m, REACH_M)
     assert found <= min(sampled, REACH_M) + 0.011
-    assert found >= min(sampled, REACH_M) - 2 * fastest / 400
+    assert found >= min(sampled, REACH_M) - 2 * (2.0 + math.radians(10) * 2.7) / 200
 
 
-def test_two_that_cross_between_two_steps_are_seen():
-    """In neither step do they touch: one drives through where the other one is half a step later."""
+def test_a_body_that_goes_far_in_a_step_is_looked_at_in_the_steps_alone():
+    """It may have gone round what lies on the straight way."""
     check = FootprintCheck()
-    check.step(0.5, bodies((-4, 0, 0), (0, -4, 90)))
+    check.step(0.5, bodies((-4, 0, 0), (3, 0, 90)))
+    check.step(1.0, bodies((12, 0, 0), (3, 0, 90)))
     assert check.result().overlaps == 0
-    check.step(1.0, bodies((12, 0, 0), (0, 12, 90)))
-    assert [(event.time_s, event.agv, event.other) for event in check.events] == [(1.0, 0, 1)]
-
-
-def test_the_least_room_between_two_steps_by_hand():
-    """A body passes the end of another one: nearest half-way, 1 m aside."""
-    check = FootprintCheck()
-    check.step(0.5, bodies((-3, 3, 0), (0, 0, 0)))
-    check.step(1.0, bodies((9, 3, 0), (0, 0, 0)))
-    assert check.result().least_m == pytest.approx(1.0, abs=0.011)
 
 
 def test_an_agv_that_swings_under_a_car_between_two_steps_is_seen():
