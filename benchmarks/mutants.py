@@ -83,7 +83,8 @@ def mutants(source: str, uncompiled: bool) -> Iterator[Mutant]:
         for change in _changes(node, parent):
             before = ast.unparse(node)
             undo = change()
-            after = ast.unparse(node) if not isinstance(node, ast.stmt) else "left out"
+            after = ast.unparse(node).splitlines()[0]
+            after = "left out" if after == before.splitlines()[0] else after
             text = ast.unparse(tree)
             undo()
             yield Mutant(getattr(node, "lineno", 0), f"{before.splitlines()[0][:70]}  ->  {after[:70]}", text)
@@ -133,7 +134,7 @@ def _changes(node: ast.AST, parent: ast.AST | None) -> Iterator[Any]:
         other = ast.Or() if isinstance(node.op, ast.And) else ast.And()
         yield lambda op=node.op: _set(node, "op", other, op)
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-        yield lambda op=node.op: _set(node, "op", ast.UAdd(), op)
+        yield lambda x=node.operand: _set(node, "operand", ast.UnaryOp(ast.Not(), copy.deepcopy(x)), x)
     elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
         yield lambda v=node.value: _set(node, "value", not v, v)
     elif isinstance(node, ast.Constant) and isinstance(node.value, int | float):

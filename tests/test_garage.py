@@ -410,3 +410,7 @@ def test_a_slot_from_which_a_car_was_lifted_is_free_unless_it_is_promised_or_tak
     del garage.reserved[slot]
     garage.vacate(slot)
     assert garage.slot_free[number]
+
+
+def test_books_into_which_no_car_was_ever_put_are_in_order():
+    assert empty().audit() == []
