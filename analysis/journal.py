@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +40,9 @@ class Journal:
     def __init__(self, folder: Path, resumed: bool) -> None:
         self._path = folder / JOURNAL
         self._there = _whole_lines(self._path) if resumed else b""
-        self._path.write_bytes(self._there)
-        self._file = self._path.open("ab")
+        self._file = self._path.open("r+b" if resumed else "wb")
+        self._file.truncate(len(self._there))  # what is there is never written again: the disk may be full
+        self._file.seek(0, os.SEEK_END)
         self._at = 0
         self._done = dict.fromkeys(COLUMNS, 0)
 
@@ -64,7 +67,8 @@ class Journal:
 
     def close(self, finished: bool) -> None:
         """End writing; the journal of a finished run is removed, its record holds everything."""
-        self._file.close()
+        with suppress(OSError):  # the disk is full, as ``flush`` has told
+            self._file.close()
         if finished:
             self._path.unlink(missing_ok=True)
 

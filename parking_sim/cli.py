@@ -25,6 +25,7 @@ from parking_sim.errors import RunFailedError
 from parking_sim.interrupts import ended_like_by_ctrl_c
 from parking_sim.reproduce import app as reproduce_app
 from parking_sim.shadowing import require_own_packages
+from parking_sim.terminal import open_standard_streams
 from sumo_nets.errors import InputError
 from sumo_nets.whole_file import write_whole
 from sumo_nets.wording import cut, one_of
@@ -98,6 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Raises:
         SystemExit: always.
     """
+    open_standard_streams()
     words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     usage_error = cast(type[Exception], typer.BadParameter.__bases__[0])
     came: list[int] = []
@@ -120,12 +122,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _complain(str(error))
         code = UNFINISHED
     except BrokenPipeError:  # whoever read our words has gone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _mute()
         code = UNFINISHED
     except OSError as error:
-        _complain(f"{cut(str(error.filename), 4000)}: {error.strerror}" if error.filename else str(error))
+        if error.filename is None:  # all errors of files have their names
+            _mute()
+        _complain(f"{cut(str(error.filename or 'standard output'), 4000)}: {error.strerror or error}")
         code = BAD_INPUT if error.errno == errno.ENAMETOOLONG else UNFINISHED
     raise SystemExit(128 + came[0] if came and code == INTERRUPTED else code)
+
+
+def _mute() -> None:
+    """Print no more, so that the end of the process does not try again to write what could not be written."""
+    with suppress(OSError):  # it may have no number
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @app.command()
@@ -152,6 +162,10 @@ def run(
     loaded = load_scenario(scenario, {key: value for key, value in given.items() if value is not None})
     if loaded.plant != "sumo" and (gui or fcd):
         raise InputError(f"{'--gui' if gui else '--fcd'}: plant is {loaded.plant}: only SUMO has it; give --plant sumo")
+    if gui:
+        from parking_sim.plants.sumo_api import check_display
+
+        check_display()
     name = Path(scenario).name.split(".")[0]
     folder = out or Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
     from parking_sim.folders import check_folder

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 from typer.core import TyperGroup
@@ -88,6 +89,14 @@ class Papers(WithExamples):
 
 class Grouped(WithExamples):
     """The program's commands; its help lists them by what one wants to do."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Call a command. Typer ends without a word at Ctrl-C; here it has one."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            print("interrupted", file=sys.stderr)
+            raise
 
     def list_commands(self, ctx: Any) -> list[str]:
         """The commands in the order of their groups."""

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import os
 from pathlib import Path
 from typing import Self
 
 from sumo_nets.errors import InputError
-
-#: What a file system says that has no locks, as some network file systems.
-_NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EINVAL)
 
 
 class FolderLock:
@@ -40,13 +36,13 @@ class FolderLock:
         self._handle = os.open(folder, os.O_RDONLY)
         try:
             fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if error.errno in _NO_LOCKS:
-                return
+        except BlockingIOError:
             self.release()
             raise InputError(
                 f"--out: {folder}: a run is being written there now; wait until it has ended, or give another folder"
             ) from None
+        except OSError:
+            return  # a network file system: each has its own words for having no locks on folders
 
     def release(self) -> None:
         """Let others have it. A second call does nothing."""

@@ -47,6 +47,7 @@ def check_folder(folder: Path, force: bool) -> None:
     try:
         if folder.is_dir() and any(folder.iterdir()):
             FolderLock(folder).release()
+            check_links(folder)
             if did_not_end(folder):
                 if not force:
                     raise InputError(f"--out: {go_on(folder)}, or give --force to replace it")
@@ -65,10 +66,28 @@ def check_path(folder: Path) -> None:
     """Make sure that SUMO and DuckDB understand the name of a folder.
 
     Raises:
-        InputError: it doesn't.
+        InputError: they don't.
     """
-    if found := next((c for c in os.path.realpath(folder) if c in _UNREADABLE), None):
+    name = os.path.realpath(folder)
+    if found := next((c for c in name if c in _UNREADABLE), None):
         raise InputError(f"--out: {folder}: {_UNREADABLE[found]}; give a folder without one")
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        raise InputError(
+            f"--out: {folder}: DuckDB reads names in UTF-8; give such a folder, and set PYTHONUTF8=1 in the locale C"
+        ) from None
+
+
+def check_links(folder: Path) -> None:
+    """Make sure that what a run writes to its folder stays there.
+
+    Raises:
+        InputError: a link leads elsewhere.
+    """
+    for path in (folder / INPUTS, folder / JOURNAL):
+        if path.is_symlink():
+            raise InputError(f"--out: {path}: is a link, and a run writes within its folder only; remove the link")
 
 
 def clear_run(folder: Path) -> None:
@@ -106,7 +125,7 @@ def own_inputs(folder: Path) -> list[Path]:
     kept = [name for name in named if isinstance(name, str) and Path(name).parent == Path(INPUTS)]
     for suffix in NET_SUFFIXES:
         kept += [f"{name.removesuffix(suffix)}.add.xml" for name in kept if name.endswith(suffix)]
-    return [folder / name for name in kept]
+    return [folder / name for name in kept if (folder / name).is_file()]
 
 
 def _try_writing(folder: Path) -> None:

@@ -107,15 +107,23 @@ def open_folder(folder: Path) -> FolderLock:
     try:
         (folder / RUNS_FOLDER).mkdir(parents=True, exist_ok=True)
         lock = FolderLock(folder)
-        if not (folder / SWEEP_FILE).is_file() and _is_foreign(folder):
-            raise InputError(f"--out: {folder}: holds files that are not a sweep's; give another folder")
-        for path in (folder / RUNS_FOLDER).glob(f"*{_PART}*"):
-            shutil.rmtree(path, ignore_errors=True)
-        for path in folder.glob(f"{PART}*"):
-            path.unlink()
+        try:
+            _tidy(folder)
+        except BaseException:
+            lock.release()
+            raise
     except OSError as error:
         raise InputError(f"--out: {folder}: can't be written: {error.strerror}") from None
     return lock
+
+
+def _tidy(folder: Path) -> None:
+    if not (folder / SWEEP_FILE).is_file() and _is_foreign(folder):
+        raise InputError(f"--out: {folder}: holds files that are not a sweep's; give another folder")
+    for path in (folder / RUNS_FOLDER).glob(f"*{_PART}*"):
+        shutil.rmtree(path, ignore_errors=True)
+    for path in folder.glob(f"{PART}*"):
+        path.unlink()
 
 
 def _is_foreign(folder: Path) -> bool:

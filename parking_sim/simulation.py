@@ -31,9 +31,10 @@ from parking_sim.closing import held_work, task_row
 from parking_sim.config import Scenario
 from parking_sim.errors import RunFailedError
 from parking_sim.folder_lock import FolderLock
-from parking_sim.folders import clear_run
+from parking_sim.folders import check_links, check_path, clear_run
 from parking_sim.inputs import Inputs, kept_net, read_inputs, write_inputs
 from parking_sim.plants import CarAtBay
+from parking_sim.plants.sumo_api import PlantError
 from parking_sim.standstill import Standstill
 from parking_sim.versions import code_version, versions
 from sumo_nets.numbering import NO_VERTEX, NumberedList, Vertex, numbered
@@ -127,7 +128,7 @@ def simulate(
     Raises:
         InputError: the scenario does not fit its garage, a file of yours hides a package of the program, or a planner
             of your own fails; nothing is left in the folder then. Or a resumed run differs from its journal.
-        PlantError: SUMO failed.
+        PlantError: SUMO failed; if it did not even start, nothing is left in the folder.
         RunFailedError: the record can't be written.
 
     Example:
@@ -142,8 +143,7 @@ def simulate(
             status = run.loop()
         return run.finish(status)
     except PlannerError:
-        if not resumed:
-            run.discard()
+        run.discard()
         raise
     except OSError as error:
         raise RunFailedError(f"{_what_failed(error, out)}; what is recorded so far can be read") from error
@@ -175,6 +175,8 @@ def prepare(
         InputError: as for :func:`simulate`.
     """
     require_own_packages()
+    if out is not None:
+        check_path(out)
     _load_what_the_end_needs()
     world = assemble(scenario)
     run = RunLoop(world, out, progress)
@@ -213,6 +215,7 @@ class RunLoop:
         self.journal: Journal | None = None
         self.lock: FolderLock | None = None
         self.inputs: Inputs | None = None
+        self._resumed = False
         self._progress = progress
         self._told = 0.0
         self._phase = -1
@@ -234,6 +237,8 @@ class RunLoop:
 
     def begin(self, out: Path, resumed: bool, shared: Path | None) -> None:
         """Write what the record begins with; the journal first: a folder that has it holds a run, however it ends."""
+        check_links(out)
+        self._resumed = resumed
         if not resumed:
             clear_run(out)
         self.journal = Journal(out, resumed)
@@ -252,7 +257,11 @@ class RunLoop:
     def started(self, gui: bool, fcd: bool) -> Iterator[None]:
         """The plant, closed at the end whatever happens."""
         self._accounts.begin()
-        plant = self.world.plant(self.out, gui, fcd or self.world.scenario.record.fcd)
+        try:
+            plant = self.world.plant(self.out, gui, fcd or self.world.scenario.record.fcd)
+        except PlantError:
+            self.discard()
+            raise
         self._plant_start_s = plant.time_s
         self.plant = self.world.with_faults(plant)
         if plant.bodies() is not None:
@@ -477,8 +486,8 @@ class RunLoop:
             self.lock.release()
 
     def discard(self) -> None:
-        """Remove what the run has written so far, and its folder if nothing else is in it."""
-        if self.out is None or self.journal is None:
+        """Remove what the run has written so far, and its folder if nothing else is in it; a resumed run stays."""
+        if self.out is None or self.journal is None or self._resumed:
             return
         self.journal.close(finished=False)
         clear_run(self.out)

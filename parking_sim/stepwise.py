@@ -117,10 +117,15 @@ class Simulation:
 
         Raises:
             InputError: the scenario does not fit its garage.
+            PlantError: SUMO did not start; nothing is left in the folder.
         """
         self._run = prepare(self.scenario, self._out, self._progress)
         self._plant = ExitStack()
-        self._plant.enter_context(self._run.started(self._gui, self._fcd))
+        try:
+            self._plant.enter_context(self._run.started(self._gui, self._fcd))
+        except BaseException:
+            self._run.leave()
+            raise
         return self
 
     def __exit__(

@@ -1,14 +1,31 @@
-"""Tables on the terminal that can be read in 80 columns: lines are broken between words, and no figure is cut."""
+"""The terminal: there is always one to write to, and tables can be read in 80 columns.
+
+Lines of tables are broken between words, and no figure is cut.
+"""
 
 from __future__ import annotations
 
+import os
 import shutil
+import sys
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 
 _GAP = "  "
 #: A longer word of a heading or of the first column, such as a path, may be broken.
 _LONGEST_WORD = 24
+
+
+def open_standard_streams() -> None:
+    """Give a process that was started with closed standard streams some that lead nowhere.
+
+    The first files that it opens would get their numbers otherwise, and SUMO's words would go into these.
+    """
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(number, True)
+    os.close(number)
+    sys.stdout = sys.stdout or os.fdopen(1, "w", encoding="utf-8", closefd=False)
+    sys.stderr = sys.stderr or os.fdopen(2, "w", encoding="utf-8", closefd=False)
 
 
 def table(rows: Sequence[Mapping[str, str]], title: str, width: int | None = None) -> str:

@@ -103,7 +103,7 @@ def tune_scenario(
         import optuna
     except ImportError:
         raise InputError("tune: optuna is not installed: pip install 'parking-sim[tune]'") from None
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    optuna.logging.set_verbosity(optuna.logging.ERROR)  # a setting that fails is told once, by the exception
     lower = MEASURES[measure].lower_is_better
     keys, base_dir = scenario_keys(source)
 

@@ -167,6 +167,10 @@ def _find(name_or_path: str | Path) -> tuple[Path, str]:
     given = str(name_or_path)
     if given in shipped_nets():
         return _nets_folder() / f"{given}{_NET_SUFFIXES[0]}", given
+    try:
+        given.encode()
+    except UnicodeEncodeError:
+        raise NetError(f"{shown(given)}: not in UTF-8: rename the file") from None
     path = Path(name_or_path)
     for suffix in _NET_SUFFIXES:
         if path.name.endswith(suffix) and is_file(path):

@@ -39,7 +39,7 @@ def whole_file(path: Path) -> Iterator[Path]:
             os.fsync(file.fileno())
         part.replace(path)
     except OSError as error:
-        if error.filename == str(part):
+        if error.filename in (None, str(part)):  # a disk that is full names no file
             error.filename = str(path)  # the name that the user knows
         raise
     finally:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import json
 import os
 import resource
@@ -15,11 +17,18 @@ from pathlib import Path
 import pytest
 
 import parking_sim as ps
+from analysis.journal import Journal
 from analysis.run_files import JOURNAL, RUN_FILE, did_not_end
 from analysis.tables import load_run
+from parking_sim.assembly import World
 from parking_sim.cli import main
 from parking_sim.folder_lock import FolderLock
+from parking_sim.interrupts import ended_like_by_ctrl_c
+from parking_sim.many_runs import open_folder
+from parking_sim.plants.sumo_api import PlantError
 from parking_sim.simulation import RunLoop
+from sumo_nets.errors import InputError
+from sumo_nets.whole_file import whole_file
 
 BARE = ("--no-report", "-q")
 SHORT = "{garage: map1, agvs: 2, plant: discrete, duration_s: 20, record: {replay: false}}"
@@ -245,3 +254,169 @@ def test_folders_that_cant_be_used_are_named(tmp_path, short, capsys) -> None:
         assert said.startswith(f"error: --out: {tmp_path / name}"), said
         assert said.count("\n") == 1
     assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize("number", [errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP])
+def test_a_file_system_without_locks_on_folders_takes_runs(tmp_path, short, monkeypatch, number) -> None:
+    """NFS turns such a lock into one of a file that is open for writing, and says EBADF."""
+
+    def refused(_handle: int, _kind: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", refused)
+    assert command("run", short, "--out", tmp_path / "out", *BARE) == 0
+
+
+def test_a_folder_that_was_refused_is_free_again(tmp_path, short, monkeypatch) -> None:
+    """From Python, where the process lives on: by a sweep, and by a run whose plant does not start."""
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="holds files that are not a sweep's"):
+        open_folder(tmp_path)
+    FolderLock(tmp_path).release()
+    monkeypatch.setattr(World, "plant", no_start)
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(PlantError), ps.Simulation(ps.load_scenario(str(short)), out):
+        pass
+    FolderLock(out).release()
+    assert [path.name for path in out.iterdir()] == ["notes.txt"]
+
+
+def no_start(*_: object) -> None:
+    raise PlantError("SUMO did not start")
+
+
+def test_a_plant_that_does_not_start_leaves_no_half_folder(tmp_path, short, monkeypatch, capsys) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(World, "plant", no_start)
+        assert command("run", short, "--out", tmp_path / "out", *BARE) == 1
+    assert capsys.readouterr().err == "error: SUMO did not start\n"
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_run_to_be_resumed_stays_when_its_plant_does_not_start(tmp_path, short, monkeypatch) -> None:
+    assert dies_at_rename(5, "run", short, "--out", tmp_path / "out", *BARE)
+    with monkeypatch.context() as patched:
+        patched.setattr(World, "plant", no_start)
+        assert command("resume", tmp_path / "out", *BARE) == 1
+    assert command("resume", tmp_path / "out", *BARE) == 0
+
+
+def test_without_a_display_an_earlier_run_is_left_as_it_is(tmp_path, short, monkeypatch, capsys) -> None:
+    out = tmp_path / "out"
+    assert command("run", short, "--out", out, *BARE) == 0
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    assert command("run", short, "--plant", "sumo", "--gui", "--force", "--out", out, *BARE) == 2
+    assert "--gui: there is no display" in capsys.readouterr().err
+    assert load_run(out).meta["scenario"]["plant"] == "discrete"
+
+
+@pytest.mark.parametrize("name", ["inputs", JOURNAL])
+def test_a_link_out_of_the_folder_is_not_followed(tmp_path, short, capsys, name) -> None:
+    """A run that is replaced would remove the user's own file of the same name there."""
+    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    shutil.copy(Path(ps.__file__).parent / "examples" / "own_planner.py", tmp_path / "mine.py")
+    (tmp_path / "own.yaml").write_text(SHORT.replace("agvs", "planner: mine.py:plan, agvs", 1))
+    assert command("run", tmp_path / "own.yaml", "--out", out, *BARE) == 0
+    if name == JOURNAL:
+        elsewhere.write_text("mine")
+    else:
+        (out / name).rename(elsewhere)
+    (out / name).symlink_to(elsewhere)
+    before = elsewhere.read_text() if elsewhere.is_file() else (elsewhere / "mine.py").read_text()
+    assert command("run", short, "--out", out, "--force", *BARE) == 2
+    assert capsys.readouterr().err.startswith(f"error: --out: {out / name}: is a link")
+    with pytest.raises(InputError, match="is a link"):
+        ps.simulate(ps.load_scenario(str(short)), out)
+    assert (elsewhere.read_text() if elsewhere.is_file() else (elsewhere / "mine.py").read_text()) == before
+    assert (out / RUN_FILE).is_file()
+
+
+def test_a_scenario_that_names_folders_as_inputs_does_not_stop_force(tmp_path, short) -> None:
+    out = tmp_path / "out"
+    assert command("run", short, "--out", out, *BARE) == 0
+    (out / "inputs").mkdir()
+    (out / "scenario.yaml").write_text("{garage: inputs/.., planner: 'inputs/..:plan'}")
+    assert command("run", short, "--out", out, "--force", *BARE) == 0
+
+
+def test_a_name_that_is_not_utf_8_is_refused_before_anything_is_written(tmp_path, short, capsys) -> None:
+    out = tmp_path / os.fsdecode(b"x\xff")
+    assert command("run", short, "--out", out, *BARE) == 2
+    assert "DuckDB reads names in UTF-8" in capsys.readouterr().err
+    with pytest.raises(InputError, match="UTF-8"):
+        ps.simulate(ps.load_scenario(str(short)), out)
+    assert not out.exists()
+    net = tmp_path / os.fsdecode(b"x\xff.net.xml")
+    net.write_text("<net/>")
+    assert command("draw-net", net, "--out", tmp_path / "x.svg") == 2
+    assert "not in UTF-8" in capsys.readouterr().err
+
+
+def test_what_a_journal_holds_is_not_written_again(tmp_path) -> None:
+    """A disk that is full when a run is resumed would lose it: the file stays what it is, less its last half line."""
+    (tmp_path / JOURNAL).write_bytes(b'1.0\n2.0\n["ev')
+    before = (tmp_path / JOURNAL).stat().st_ino
+    resource_limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4, resource_limit[1]))
+    try:
+        Journal(tmp_path, resumed=True).close(finished=False)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, resource_limit)
+    assert (tmp_path / JOURNAL).read_bytes() == b"1.0\n2.0\n"
+    assert (tmp_path / JOURNAL).stat().st_ino == before
+
+
+def test_a_disk_that_is_full_is_told_with_the_files_name(tmp_path) -> None:
+    """The system names no file when a write fails, only when opening does."""
+    with pytest.raises(OSError, match=r"No space left on device: '.*/x'"), whole_file(tmp_path / "x"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_closed_standard_streams_do_no_harm(tmp_path, short) -> None:
+    """Files of the record must not get their numbers."""
+    words = f"{sys.executable} -m parking_sim run {short} --out {tmp_path / 'out'} --no-report"
+    assert subprocess.run(["sh", "-c", f"{words} 0<&- 1>&- 2>&-"]).returncode == 0
+    assert command("explain", tmp_path / "out") == 0
+
+
+def test_a_full_standard_output_is_told_in_one_line(tmp_path) -> None:
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run([sys.executable, "-m", "parking_sim", "nets"], stdout=full, stderr=subprocess.PIPE)
+    assert (ended.returncode, ended.stderr) == (1, b"error: standard output: No space left on device\n")
+
+
+def test_a_signal_that_is_ignored_stays_ignored() -> None:
+    """As under nohup, where a terminal that is closed ends nothing."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with ended_like_by_ctrl_c() as came:
+            os.kill(os.getpid(), signal.SIGHUP)
+        assert came == []
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    except KeyboardInterrupt:  # which would end all tests
+        pytest.fail("the signal was heard")
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_sweep_that_is_told_to_end_does_not_wait_for_its_runs(tmp_path) -> None:
+    """Only the sweep gets the signal, as from ``kill``; its run would go on for weeks of simulated time."""
+    (tmp_path / "sweep.yaml").write_text(
+        "{base: {garage: map1, agvs: 2, plant: discrete, max_time_s: 2000000, workload: {kind: poisson,"
+        " arrivals_per_h: 20, duration_min: 30000}, record: {replay: false}}, seeds: [1]}"
+    )
+    out = tmp_path / "out"
+    words = [sys.executable, "-m", "parking_sim", "sweep", str(tmp_path / "sweep.yaml"), "--workers", "1"]
+    process = subprocess.Popen([*words, "--out", str(out)], stderr=subprocess.PIPE, text=True)
+    try:
+        while process.poll() is None and not any(path.stat().st_size for path in out.glob(f"runs/*/{JOURNAL}")):
+            time.sleep(0.01)
+        process.terminate()
+        said = process.communicate(timeout=30)[1]
+    finally:
+        process.kill()
+    assert (process.returncode, said) == (143, "interrupted\n")
+    assert list((out / "runs").iterdir()) == []

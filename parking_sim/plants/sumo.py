@@ -41,7 +41,7 @@ from controller.types import (
 from parking_sim.footprint import Bodies
 from parking_sim.plants import PlantEvent, StreetState
 from parking_sim.plants.sumo_agv import AgvType, sumo_motion
-from parking_sim.plants.sumo_api import PlantError, load_api
+from parking_sim.plants.sumo_api import PlantError, load_api, silent
 from parking_sim.plants.sumo_customers import Customers
 from parking_sim.plants.sumo_files import EMPTY, LOADED, agv_name, output_options, write_run
 from parking_sim.plants.sumo_lanes import LaneProgress, Lanes
@@ -135,7 +135,8 @@ class SumoPlant:
             *(output_options(outputs, fcd) if outputs is not None else ()),
         ]
         try:
-            self._api.start([*command, "--start", "--quit-on-end"] if gui else command)
+            with silent():
+                self._api.start([*command, "--start", "--quit-on-end"] if gui else command)
             self._open = True
             self._read_lanes(garage)
             self._agvs: Numbered[AgvNumber, _Agv] = [

@@ -5,10 +5,14 @@ from __future__ import annotations
 import io
 import os
 import shutil
-from contextlib import redirect_stdout
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
 from typing import Any
 
 from parking_sim.errors import RunFailedError
+from sumo_nets.errors import InputError
 
 
 class PlantError(RunFailedError):
@@ -30,6 +34,23 @@ def load_api(gui: bool) -> tuple[Any, str]:
     except ImportError:
         raise PlantError("sumo-gui needs traci: install parking-sim with the extra 'nets'") from None
     return traci, _find_binary("sumo-gui")
+
+
+@contextmanager
+def silent() -> Iterator[None]:
+    """Within, TraCI says nothing of its tries to reach sumo-gui; that it failed is told once, as an error."""
+    with redirect_stdout(io.StringIO()), warnings.catch_warnings(action="ignore"):
+        yield
+
+
+def check_display() -> None:
+    """Make sure that a window can be opened at all, before anything is written for it.
+
+    Raises:
+        InputError: this is a Linux machine, and no display is named.
+    """
+    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        raise InputError("--gui: there is no display for sumo-gui's window: run it on a desktop, or set DISPLAY")
 
 
 def _find_binary(name: str) -> str:
