@@ -334,8 +334,10 @@ def test_a_run_without_sumo_gui_is_one_line(
     workplace: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("parking_sim.plants.sumo_api.shutil.which", lambda name, path=None: None)
+    monkeypatch.setenv("DISPLAY", ":0")
     assert call(words("run map1 --agvs 1 --gui --out run -q")) == 1
     assert capfd.readouterr().err == "error: sumo-gui is not installed: install parking-sim with the extra 'nets'\n"
+    assert not (workplace / "run").exists()
 
 
 def test_a_run_that_sumo_fails_is_one_line_and_leaves_its_record_so_far(
