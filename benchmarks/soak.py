@@ -127,12 +127,6 @@ def fault_seconds(folder: Path) -> dict[str, list[float]]:
     return seconds
 
 
-def is_good(row: Mapping[str, Any]) -> bool:
-    """Everything was done, and nothing met, locked up or got lost."""
-    done = row["status"] == "finished" and row["tasks_done"] == row["tasks_wanted"]
-    return done and not row["lost"] and not any(row[key] for key in MUST_BE_ZERO)
-
-
 # --- pieces -----------------------------------------------------------------------------------------------------------
 
 #: Planners with how often they are drawn. In ticks those that plan in every tick are drawn more rarely: they are slow.

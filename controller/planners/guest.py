@@ -24,6 +24,7 @@ from types import FrameType
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controller.flags import FLAGS, Flags
 from controller.planners.answer import NoPlanError, read_answer
@@ -243,9 +244,7 @@ def _frozen(books: Books) -> Books:
     return twin
 
 
-def _read_only(
-    array: np.ndarray[tuple[int, ...], np.dtype[np.uint8]],
-) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+def _read_only(array: NDArray[np.uint8]) -> NDArray[np.uint8]:
     array.flags.writeable = False
     return array
 
