@@ -13,6 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from analysis.damage import readable
+from analysis.explain import explain
+from analysis.metrics import run_metrics
+from analysis.run_files import JOURNAL
+from analysis.tables import load_run
 from demand.csv_file import Csv
 from demand.gate_logs.dialect import Dialect
 from demand.gate_logs.fit import fit_profile
@@ -22,6 +27,7 @@ from demand.profile_traffic import ProfileTraffic
 from demand.profiles import PROFILES, write_profile
 from parking_sim.assembly import assemble
 from parking_sim.config import load_scenario
+from parking_sim.stepwise import Simulation
 from parking_sim.sweep_plan import load_sweep
 from sumo_nets.build import build_net
 from sumo_nets.check import check_net
@@ -231,6 +237,24 @@ def _read_map(folder: Path) -> None:
     read_scenario(folder / "a.scen", read_map(folder / "a.map"))
 
 
+@lru_cache
+def _record() -> tuple[dict[str, bytes], bytes]:
+    """The files of a small run, and its journal before it ended."""
+    keys = {"plant": "discrete", "agvs": 2, "duration_s": 180.0, "record": {"replay": False}}
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "run"
+        with Simulation(load_scenario("map1", keys), out) as run:
+            while run.step():
+                journal = (out / JOURNAL).read_bytes()
+        return {path.name: path.read_bytes() for path in sorted(out.iterdir()) if path.is_file()}, journal
+
+
+def _read_record(folder: Path) -> None:
+    with readable(folder):
+        explain(folder, None, None)
+        run_metrics(load_run(folder))
+
+
 READERS: Mapping[str, Reader] = {
     reader.name: reader
     for reader in (
@@ -247,5 +271,7 @@ READERS: Mapping[str, Reader] = {
         Reader("net", _nets, _read_net),
         Reader("net_gz", _packed_nets, _read_net),
         Reader("movingai", _maps, _read_map),
+        Reader("record", lambda: iter([_record()[0]]), _read_record),
+        Reader("journal", lambda: iter([{JOURNAL: _record()[1]}]), _read_record),
     )
 }

@@ -4,9 +4,10 @@
 
 A mutant is a module with one change in its syntax tree: a comparison, an arithmetic or Boolean operator, a constant, a
 negated condition, a statement or a returned value left out. Docstrings, messages and annotations are left alone. Each
-mutant is imported in a forked process in place of its module, and the module's tests are run until one fails. For each
-module ``--each`` mutants are drawn; survivors are printed with their lines. Compiled kernels are left out, but for
-those of the footprint check, which run uncompiled.
+mutant is imported in a forked process in place of its module, and the module's tests are run until one fails. Tests
+that take more than five times as long as without a mutant are stopped: the mutant is dead, and counted as timed out as
+well. For each module ``--each`` mutants are drawn; survivors are printed with their lines. The share killed has
+Wilson's interval of 95 %. Compiled kernels are left out, but for those of the footprint check, which run uncompiled.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ MODULES: dict[str, tuple[str, ...]] = {
     "controller/acs.py": (
         "test_garage.py", "test_charging.py", "test_places.py", "test_faults.py",
     ),
-    "controller/claims.py": ("test_places.py", "test_garage.py", "test_charging.py", "test_sumo_plant_customers.py"),
+    "controller/claims.py": (
+        "test_claims.py", "test_places.py", "test_garage.py", "test_charging.py", "test_sumo_plant_customers.py",
+    ),
     "controller/deadlock/waits.py": ("test_deadlock.py", "test_deadlock_cases.py", "test_holds.py"),
     "controller/deadlock/ladder.py": ("test_deadlock.py", "test_deadlock_cases.py", "test_deadlocks_explained.py"),
     "controller/deadlock/cut_off.py": ("test_deadlock.py", "test_deadlock_cases.py", "test_faults.py"),
@@ -58,8 +61,8 @@ UNCOMPILED = ("parking_sim/footprint.py",)
 WARM = (
     "numpy", "pandas", "numba", "networkx", "scipy.spatial", "duckdb", "pydantic", "hypothesis", "pytest", "shapely",
 )  # fmt: skip
-#: Seconds after which a mutant's tests have run for ever, which the tests would not let pass either.
-LIMIT_S = 240.0
+#: Tests run for ever when they take this many times as long as without a mutant, and seconds at least.
+LIMIT_TIMES, LIMIT_S = 5.0, 60.0
 
 _COMPARE = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
             ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is}  # fmt: skip
@@ -184,8 +187,8 @@ class _Planted(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         exec(compile(ast.fix_missing_locations(tree), str(self.path), "exec"), module.__dict__)
 
 
-def is_killed(module: str, source: str) -> bool:
-    """Whether a test of a module fails on a mutant, or runs for ever."""
+def outcome(module: str, source: str, limit_s: float) -> str:
+    """What the tests of a module make of a mutant: ``killed``, ``survived``, or ``timed out`` after so many seconds."""
     child = os.fork()
     if child == 0:
         os.setsid()
@@ -198,29 +201,38 @@ def is_killed(module: str, source: str) -> bool:
         tests = [f"tests/{name}" for name in MODULES[module]]
         code = pytest.main(["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--no-header", *tests])
         os._exit(1 if code else 0)
-    end = time.monotonic() + LIMIT_S
+    end = time.monotonic() + limit_s
     while time.monotonic() < end:
         pid, status = os.waitpid(child, os.WNOHANG)
         if pid:
-            return os.waitstatus_to_exitcode(status) != 0
+            return "killed" if os.waitstatus_to_exitcode(status) else "survived"
         time.sleep(0.02)
     os.killpg(child, signal.SIGKILL)
     os.waitpid(child, 0)
-    return True
+    return "timed out"
 
 
 def score(module: str, each: int, seed: int) -> tuple[dict[str, Any], list[Mutant]]:
     """A module's row, and the mutants that survived."""
     source = (ROOT / module).read_text(encoding="utf-8")
-    assert not is_killed(module, source), f"the tests of {module} fail without a mutant"
+    begin = time.monotonic()
+    assert outcome(module, source, math.inf) == "survived", f"the tests of {module} fail without a mutant"
+    limit_s = max(LIMIT_S, LIMIT_TIMES * (time.monotonic() - begin))
     every = [m for m in mutants(source, module in UNCOMPILED) if m.source != ast.unparse(ast.parse(source))]
     drawn = sorted(random.Random(f"{module} {seed}").sample(every, min(each, len(every))), key=lambda m: m.line)
-    left = [mutant for mutant in drawn if not is_killed(module, mutant.source)]
-    killed = len(drawn) - len(left)
-    share = killed / len(drawn)
-    half = 1.96 * math.sqrt(share * (1 - share) / len(drawn)) * math.sqrt(1 - len(drawn) / len(every))
-    row = {"module": module, "mutants": len(every), "tried": len(drawn), "killed": killed, "share": round(share, 3)}
-    return {**row, "half_interval": round(half, 3)}, left
+    came = [outcome(module, mutant.source, limit_s) for mutant in drawn]
+    left = [mutant for mutant, word in zip(drawn, came, strict=True) if word == "survived"]
+    least, most = wilson(len(drawn) - len(left), len(drawn))
+    row = {"module": module, "mutants": len(every), "tried": len(drawn), "killed": len(drawn) - len(left)}
+    return {**row, "timed_out": came.count("timed out"), "least": round(least, 3), "most": round(most, 3)}, left
+
+
+def wilson(hits: int, tries: int) -> tuple[float, float]:
+    """Bounds of a share in 95 % of samples (Wilson 1927)."""
+    z, share = 1.96, hits / tries
+    middle = share + z * z / (2 * tries)
+    half = z * math.sqrt(share * (1 - share) / tries + z * z / (4 * tries * tries))
+    return (middle - half) / (1 + z * z / tries), (middle + half) / (1 + z * z / tries)
 
 
 def main() -> int:
@@ -229,20 +241,21 @@ def main() -> int:
     parser.add_argument("--each", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--module", choices=tuple(MODULES), action="append")
-    parser.add_argument("--csv", type=Path)
+    parser.add_argument("--csv", type=Path, help="add a row for each module")
     given = parser.parse_args()
     for name in WARM:
         importlib.import_module(name)
     stamp = {"version": version("parking-sim"), "date": date.today().isoformat()}
-    rows = []
+    rows: list[dict[str, Any]] = []
     for module in given.module or MODULES:
         row, left = score(module, given.each, given.seed)
-        rows.append({**row, **stamp, "command": f"mutants.py --each {given.each} --seed {given.seed}"})
+        command = f"python benchmarks/mutants.py --each {given.each} --seed {given.seed} --module {module}"
+        rows.append({**row, **stamp, "command": command})
         print(row, flush=True)
         for mutant in left:
             print(f"    line {mutant.line}: {mutant.words}", flush=True)
         if given.csv:
-            pd.DataFrame(rows).to_csv(given.csv, index=False)
+            pd.DataFrame(rows[-1:]).to_csv(given.csv, mode="a", header=not given.csv.exists(), index=False)
     tried, killed = sum(row["tried"] for row in rows), sum(row["killed"] for row in rows)
     print(f"{killed} of {tried} killed, {killed / tried:.1%}")
     return 0

@@ -322,6 +322,19 @@ def test_without_any_pocket_a_deadlock_stays_open_and_is_counted(planner):
     assert numbers["deadlocks_resolved"] == 0
 
 
+@pytest.mark.parametrize("patience", [3, 7])
+def test_the_ladder_is_climbed_again_when_its_patience_is_over(patience):
+    """Four times after as long, then each time after twice as long; a hope that is gone would end the climbing."""
+    yard = Yard(CORRIDOR, "BE CA", replace(LIMITS, patience_steps=patience))
+    climbs: list[int] = []
+    yard.planning._ladder._stages = lambda *_: (climbs.append(yard.step), (None, set()))[1]
+    yard.planning._ladder._together = lambda *_: (None, False)
+    assert not yard.run(40 * patience)
+    assert len(climbs) > 5
+    gaps = [later - earlier for earlier, later in pairwise(climbs)]
+    assert gaps[:6] == [patience * times for times in (1, 1, 1, 1, 2, 4)][: len(gaps)]
+
+
 def metrics(yard: Yard) -> Mapping[str, float | int]:
     recorder = Recorder()
     recorder.floor(yard.graph)

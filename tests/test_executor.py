@@ -364,3 +364,37 @@ def test_an_agv_that_takes_no_orders_is_expected_to_go_on_so_for_as_long_as_stop
         expected.append([executor.ready_step(n, step) for n in range(2)])
     assert [e for e, _ in expected] == [0] * 5 + [2] * 3 + [0] * 7 + [4] * 5  # nothing known, then 2, then (2 + 6) / 2
     assert {e for _, e in expected} == {0}
+
+
+def test_when_an_agv_will_have_left_each_vertex_is_the_sum_of_its_moves():
+    """Three moves of 1, 2 and 3 steps, a step more each with a car, from the grant, then from the last report."""
+    names = "abcd"
+    vertices = [(name, float(x), 0.0) for name, x in zip(names, (0, 5, 15, 30), strict=True)]
+    graph = make_graph(
+        "long", vertices, [(u + v, u, v, m) for u, v, m in (("a", "b", 5), ("b", "c", 10), ("c", "d", 15))]
+    )
+    for loaded, (first, second, third) in ((False, (1, 2, 3)), (True, (2, 3, 4))):
+        executor = Executor(graph, bodies(graph), [graph.index["a"]])
+        executor.agvs[0].loaded = loaded
+        assert executor.leave_steps(0, 7) == [0]
+        assert executor.accept({0: way(graph, 0, names)}) is None
+        executor.grants(7)
+        assert executor.leave_steps(0, 7) == [first, first + second, first + second + third, first + second + third]
+        executor.update([AgvState(0, reached=1, left=0, standing=False)], 9)  # the rear is still on a
+        assert executor.leave_steps(0, 9) == [1, second, second + third, second + third]
+        executor.update([AgvState(0, reached=1, left=1, standing=False)], 10)
+        assert executor.leave_steps(0, 10) == [max(second - 1, 1), second + third - 1, second + third - 1]
+        executor.update([AgvState(0, reached=3, left=3, standing=True)], 20)
+        assert executor.leave_steps(0, 25) == [0]
+
+
+def test_a_grant_that_goes_on_with_a_drive_does_not_count_from_anew():
+    """The clock starts when an AGV sets off; vertices granted on its way are reckoned from the last one reached."""
+    executor = Executor(LINE, bodies(LINE), [LINE.index["a"]], lookahead=2)
+    assert executor.accept({0: way(LINE, 0, "abcd")}) is None
+    executor.grants(4)
+    assert executor.leave_steps(0, 4) == [1, 2, 2]
+    executor.update([AgvState(0, reached=1, left=0, standing=False)], 5)
+    executor.grants(6)  # a step late: d is granted now
+    assert executor.agvs[0].last == LINE.index["d"]
+    assert executor.leave_steps(0, 6) == [1, 1, 1, 1]

@@ -96,11 +96,16 @@ def test_force_removes_what_a_run_wrote_and_nothing_else(tmp_path, short) -> Non
     assert not (out / "inputs" / "mine.py").exists()
 
 
+def _hears_hangups() -> None:
+    """The tests themselves may run under ``nohup``, which their children would inherit."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_signal_ends_a_run_with_its_record(tmp_path, long, number, code) -> None:
     out = tmp_path / "out"
     words = [sys.executable, "-m", "parking_sim", "run", str(long), "--out", str(out), *BARE]
-    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, preexec_fn=_hears_hangups)
     while process.poll() is None and not ((out / JOURNAL).is_file() and (out / JOURNAL).stat().st_size > 10_000):
         time.sleep(0.01)
     process.send_signal(number)

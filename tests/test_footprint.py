@@ -402,3 +402,12 @@ def test_an_agv_that_swings_under_a_car_between_two_steps_is_seen():
     assert counts(check) == (0, 0)
     check.step(2.0, bodies((-3, 0.0, 50)))
     assert counts(check) == (1, 0)
+
+
+def test_more_overlaps_in_a_step_than_there_is_room_for_are_counted_up_to_it():
+    """100 AGVs in one place touch 4,950 times; 4,096 of these are listed, and the step counts as far."""
+    check = FootprintCheck()
+    check.step(0.5, bodies(*[(0.01 * n, 0.0, 0.0) for n in range(100)]))
+    assert check.result().overlaps == 4096
+    check.step(1.0, bodies(*[(20.0 * n, 0.0, 0.0) for n in range(100)]))
+    assert check.result().overlaps == 4096
