@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+from controller.interrupted import as_interrupts
 from parking_sim import gate_logs, planner_check, routes, studies
 from parking_sim.command_groups import Grouped
 from parking_sim.errors import RunFailedError
@@ -106,7 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         if "doctor" not in words:  # which tells of hidden packages among all else
             require_own_packages()
-        with ended_like_by_ctrl_c() as came:
+        with ended_like_by_ctrl_c() as came, as_interrupts():
             code = app(words, prog_name=app.info.name, standalone_mode=False) or 0
         sys.stdout.flush()
     except usage_error as error:

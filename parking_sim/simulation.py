@@ -22,6 +22,7 @@ from analysis.run_files import JOURNAL
 from controller.events import Event, EventKind
 from controller.faults import REPORTED, FaultReport
 from controller.garage import Task
+from controller.interrupted import as_interrupts
 from controller.planners.guest import PlannerError
 from controller.planning import PlanningCall
 from controller.types import NO_AGV, Advance, AgvMode, AgvNumber, Request, whole_steps
@@ -279,8 +280,9 @@ class RunLoop:
     def loop(self) -> Ended:
         """Step until everything is done or time is up; returns the status."""
         try:
-            while not (status := self.advance()):
-                pass
+            with as_interrupts():
+                while not (status := self.advance()):
+                    pass
         except KeyboardInterrupt:
             return "interrupted"
         return status

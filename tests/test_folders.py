@@ -110,7 +110,7 @@ def test_a_signal_ends_a_run_with_its_record(tmp_path, long, number, code) -> No
         time.sleep(0.01)
     process.send_signal(number)
     said = process.communicate(timeout=60)[1]
-    assert process.returncode == code
+    assert process.returncode == code, said
     assert "Traceback" not in said
     assert load_run(out).meta["status"] == "interrupted"
     assert not did_not_end(out)
@@ -425,3 +425,17 @@ def test_a_sweep_that_is_told_to_end_does_not_wait_for_its_runs(tmp_path) -> Non
         process.kill()
     assert (process.returncode, said) == (143, "interrupted\n")
     assert list((out / "runs").iterdir()) == []
+
+
+def test_an_interrupt_while_a_kernel_is_loaded_is_an_interrupt(tmp_path, monkeypatch) -> None:
+    """numba tells of it by another error, whichever kernel is the first to be called."""
+
+    def interrupted(*_: object) -> object:
+        raise SystemError("CPUDispatcher returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr("controller.planning.Planning.step", interrupted)
+    scenario = ps.load_scenario("map1", {"plant": "discrete", "duration_s": 60.0})
+    assert ps.simulate(scenario, tmp_path / "out").status == "interrupted"
+    monkeypatch.setattr("controller.planning.Planning.step", lambda *_: (_ for _ in ()).throw(SystemError("else")))
+    with pytest.raises(SystemError, match="else"):
+        ps.simulate(scenario, tmp_path / "other")

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.flags import FLAGS, Flags
+from controller.interrupted import as_interrupts
 from controller.planners.answer import NoPlanError, read_answer
 from controller.types import Motion, Planner, PlanningProblem, PlanResult
 from sumo_nets.errors import InputError
@@ -143,7 +144,7 @@ def guarded(name: str, call: Callable[[], T], limit_s: float) -> T:
     """
     began = time.perf_counter()
     try:
-        with _time_limit(name, limit_s):
+        with _time_limit(name, limit_s), as_interrupts():
             result = call()
     except _OverTimeError as error:
         raise PlannerError(_over_time(name, limit_s, str(error))) from None
