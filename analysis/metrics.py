@@ -78,6 +78,7 @@ METRICS: Mapping[str, tuple[str, str]] = {
         )
         for level in SERVICE_LEVELS_S
     },
+    "car_on_agv_max_s": ("s", "longest time that a car sat on an AGV, from lifting to lowering"),
     "queue_mean": ("cars", "cars that wait to reach a bay, mean over time"),
     "queue_p95": ("cars", "the same, 95 % quantile over time"),
     "queue_max": ("cars", "the same, most"),
@@ -273,6 +274,9 @@ def _waits(run: Run) -> Metrics:
     for name, values in waits(run.tasks, _number(run, "simulated_s")).items():
         for key in _STATISTICS:
             metrics[f"{name}_{key}_s"] = statistic(key, sorted(values))
+    lifted = run.tasks[run.tasks["lifted_s"].notna()]
+    on_agv_s = lifted["delivered_s"].fillna(_number(run, "simulated_s")) - lifted["lifted_s"]
+    metrics["car_on_agv_max_s"] = float(on_agv_s.max()) if len(on_agv_s) else NAN
     for level in SERVICE_LEVELS_S:
         metrics[f"retrieval_within_{level}_s_share"] = share_within(run.tasks, level, _number(run, "simulated_s"))
     return metrics

@@ -205,22 +205,57 @@ class Acs:
         }
         if not waiting:
             return
-        at = {n: self.executor.agvs[n].last for n in waiting}
         if self.garage.handover == "home":
-            chosen = {n: self.agvs[n].home for n in waiting}
-        else:
-            chosen = self._claims.promise_bays(waiting, self._step, self.outages.closed, self.planning.flags.rests)
-        for n, task in waiting.items():
-            agv = self.agvs[n]
-            if n in chosen:
-                task.destination = chosen[n]
-                self._set_goal(agv, chosen[n])
-                if self._claims.next.get(chosen[n]) == n:
-                    self._plan_way_out(self.agvs[self._claims.holder[chosen[n]]])
-            elif at[n] != task.origin or self._claims.nearer_to_bays(agv.home, at[n]):
-                self._set_goal(agv, agv.home)
-            if agv.goal != task.origin and at[n] == task.origin:
-                self.garage.vacate(task.origin)
+            for n, task in waiting.items():
+                self._carry_to(self.agvs[n], task, self.agvs[n].home)
+            return
+        closed = self.outages.closed
+        chosen = self._claims.promise_bays(waiting, self._step, closed, self.planning.flags.rests)
+        without = {n: task for n, task in waiting.items() if n not in chosen}
+        for n, bay in chosen.items():
+            self._promise(self.agvs[n], waiting[n], bay, NO_AGV)
+        for near, far in self._claims.trade_bays(without, self._step, closed).items():
+            loser = self.agvs[far].task
+            assert loser is not None, "who has no car has no bay to lose"
+            self._promise(self.agvs[near], without.pop(near), loser.destination, far)
+            loser.destination = NO_VERTEX
+            without[far] = loser
+        for n, task in without.items():
+            self._wait_with_car(self.agvs[n], task)
+
+    def _promise(self, agv: Agv, task: Task, bay: Vertex, instead_of: AgvNumber) -> None:
+        """Send an AGV to a bay that is promised to it; ``instead_of`` has lost it, -1 if nobody has."""
+        behind = self._claims.holder[bay] if self._claims.next.get(bay) == agv.number else NO_AGV
+        detail = {"request": task.number, "behind": behind, "instead_of": instead_of}
+        self.log(Event("bay_promised", agv.number, task.car, bay, detail))
+        self._carry_to(agv, task, bay)
+        if behind >= 0:
+            self._plan_way_out(self.agvs[behind])
+
+    def _carry_to(self, agv: Agv, task: Task, place: Vertex) -> None:
+        task.destination = place
+        self._set_goal(agv, place)
+        self._vacate(agv, task)
+
+    def _wait_with_car(self, agv: Agv, task: Task) -> None:
+        """Let an AGV wait for a bay at a home near the bays, or at the slot if that is nearer."""
+        at = self.executor.agvs[agv.number].last
+        absent = self._claims.absent_nearer(agv, self.outages.closed)
+        if absent >= 0:
+            self._exchange_homes(agv, self.agvs[absent])
+        if not at == agv.goal == task.origin or self._claims.nearer_to_bays(agv.home, at):
+            self._set_goal(agv, agv.home)
+        self._vacate(agv, task)
+
+    def _exchange_homes(self, agv: Agv, other: Agv) -> None:
+        agv.home, other.home = other.home, agv.home
+        homes = {each.number: self.graph.names[each.home] for each in (agv, other)}
+        self.log(Event("homes_exchanged", agv.number, detail={"waiting": agv.number, "homes": homes}))
+
+    def _vacate(self, agv: Agv, task: Task) -> None:
+        """Free the slot for other cars, once the AGV that lifted its car there has somewhere to go."""
+        if agv.goal != task.origin and self.executor.agvs[agv.number].last == task.origin:
+            self.garage.vacate(task.origin)
 
     def _plan_way_out(self, agv: Agv) -> None:
         """Plan the AGV's departure from the bay early, so that the next AGV can plan its arrival."""

@@ -21,6 +21,7 @@ EventKind = Literal[
     "car_ready",
     "task_assigned",
     "lift",
+    "bay_promised",
     "lower",
     "task_done",
     "car_left",
@@ -94,6 +95,7 @@ _REQUEST = {"request": "number of the request"}
 _SOC = {"soc": "state of charge of its battery, 0 to 1"}
 _DEADLOCK = {"deadlock": "number of the deadlock"}
 _OBSTRUCTION = {"obstruction": "number of the obstruction"}
+_WAITING = {"waiting": "number of the AGV that waits with a car"}
 _GROUP = {"members": "numbers of the AGVs", "cause": "ring, idle or stuck"}
 _FOUND = {
     **_GROUP,
@@ -123,6 +125,14 @@ KINDS: Mapping[EventKind, Kind] = {
         },
     ),
     "lift": Kind("a car is on the AGV", _REQUEST),
+    "bay_promised": Kind(
+        "an AGV with a car gets a bay",
+        {
+            **_REQUEST,
+            "behind": "number of the AGV at work there, after which it comes; -1 if it has the bay to itself",
+            "instead_of": "number of the AGV that was farther away and loses this bay, -1 if none does",
+        },
+    ),
     "lower": Kind("a car is lowered", _REQUEST),
     "task_done": Kind("a request is served", _REQUEST),
     "car_left": Kind("a retrieved car has left the garage", _REQUEST),
@@ -143,9 +153,10 @@ KINDS: Mapping[EventKind, Kind] = {
     ),
     "obstruction_resolved": Kind("the others have got on", {**_OBSTRUCTION, **_RESOLVED}),
     "homes_exchanged": Kind(
-        "AGVs without a task take over each other's homes to end a deadlock or an obstruction",
-        {**_DEADLOCK, **_OBSTRUCTION, "homes": "AGV -> name of its new home"},
-        frozenset({*_DEADLOCK, *_OBSTRUCTION}),
+        "AGVs take over each other's homes: to end a deadlock or an obstruction, or because one waits with a car and"
+        " the other, which is away, has a home nearer to the bays",
+        {**_DEADLOCK, **_OBSTRUCTION, **_WAITING, "homes": "AGV -> name of its new home"},
+        frozenset({*_DEADLOCK, *_OBSTRUCTION, *_WAITING}),
     ),
     "stage_failed": Kind(
         "a stage of a deadlock's resolution made no progress",

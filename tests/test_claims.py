@@ -16,16 +16,16 @@ from controller.garage import Customers, Garage
 from controller.types import Action, AgvMode, Request, RequestKind
 from sumo_nets.graph import Graph, make_graph
 
-#: Two bays at the ends of a row of six, one step from one to the next; a slot and a home beside the middle.
-NAMES = ("left", "a", "b", "c", "d", "e", "right", "slot", "home")
+#: Two bays at the ends of a row of five, one step from one to the next; a slot and homes beside the row.
+NAMES = ("left", "a", "b", "c", "d", "e", "right", "slot", "home", "near")
 
 
 def row() -> Graph:
-    ways = [*pairwise(NAMES[:7]), ("c", "slot"), ("d", "home")]
+    ways = [*pairwise(NAMES[:7]), ("c", "slot"), ("d", "home"), ("a", "near")]
     edges = [(f"{u}>{v}", u, v, 5.0) for pair in ways for u, v in (pair, pair[::-1])]
     vertices = [(name, 5.0 * x, 0.0) for x, name in enumerate(NAMES[:7])]
-    vertices += [("slot", 15.0, 5.0), ("home", 20.0, 5.0)]
-    return make_graph("row", vertices, edges, {"slot": ("slot",), "bay": ("left", "right"), "home": ("home",)})
+    vertices += [("slot", 15.0, 5.0), ("home", 20.0, 5.0), ("near", 5.0, 5.0)]
+    return make_graph("row", vertices, edges, {"slot": ("slot",), "bay": ("left", "right"), "home": ("home", "near")})
 
 
 GRAPH = row()
@@ -117,3 +117,70 @@ def test_bays_of_agvs_that_are_out_of_order_or_closed_are_not_promised():
     floor.works(1, "right", Action.LOWER, 1)
     floor.agvs[0].immobile = True
     assert floor.claims.promise_bays({2: floor.task()}, 0, frozenset({AT["right"]}), True) == {}
+
+
+# --- a bay for a nearer AGV, a home for one that waits ----------------------------------------------------------------
+
+
+def carries(floor: Floor, agv: int, bay: str) -> None:
+    """An AGV carries a car to a bay that is promised to it."""
+    floor.claims.holder[AT[bay]] = agv
+    floor.agvs[agv].goal, floor.agvs[agv].mode = AT[bay], AgvMode.RETURNING_WITH_CAR
+
+
+@pytest.mark.parametrize(("nearer_s", "traded"), [(3.0, {1: 0}), (4.0, {1: 0}), (5.0, {})])
+def test_a_promised_bay_goes_to_an_agv_that_is_so_much_nearer(monkeypatch, nearer_s, traded):
+    """From e it is 5 steps of a second to the left bay, from a it is one."""
+    monkeypatch.setattr("controller.claims.NEARER_S", nearer_s)
+    floor = Floor("e", "a")
+    carries(floor, 0, "left")
+    assert floor.claims.trade_bays({1: floor.task()}, 0, frozenset()) == traded
+    assert floor.claims.holder == {AT["left"]: 1 if traded else 0}
+    assert floor.claims.trade_bays({1: floor.task()}, 0, frozenset({AT["left"]})) == {}
+
+
+def test_the_trade_that_saves_most_comes_first(monkeypatch):
+    monkeypatch.setattr("controller.claims.NEARER_S", 1.0)
+    floor = Floor("b", "d", "a", "c")
+    carries(floor, 0, "right")  # 4 steps away; 3 from c
+    carries(floor, 1, "left")  # 4 steps away; 1 from a, 3 from c
+    assert floor.claims.trade_bays({2: floor.task(), 3: floor.task()}, 0, frozenset()) == {2: 1, 3: 0}
+
+
+def test_nobody_gets_a_bay_where_the_other_one_has_arrived_or_before_it_is_left(monkeypatch):
+    monkeypatch.setattr("controller.claims.NEARER_S", 1.0)
+    floor = Floor("left", "e", "a")
+    carries(floor, 0, "left")
+    assert floor.claims.trade_bays({2: floor.task()}, 0, frozenset()) == {}
+    floor.works(0, "left", Action.LOWER, 3)
+    floor.agvs[1].goal, floor.agvs[1].mode = AT["left"], AgvMode.RETURNING_WITH_CAR
+    floor.claims.next[AT["left"]] = 1
+    assert floor.claims.trade_bays({2: floor.task()}, 0, frozenset()) == {}  # a step away, left in three
+    assert floor.claims.trade_bays({2: floor.task()}, 2, frozenset()) == {2: 1}
+    assert floor.claims.next == {AT["left"]: 2}
+
+
+def test_who_waits_takes_the_home_of_one_that_is_away_and_nearer_to_the_bays(monkeypatch):
+    """The homes are 2 and 3 steps from their bays."""
+    monkeypatch.setattr("controller.claims.NEARER_S", 1.0)
+    floor = Floor("home", "near")
+    waits, away = floor.agvs
+    absent = lambda: floor.claims.absent_nearer(waits, frozenset())  # noqa: E731
+    assert absent() == -1  # it is at home
+    floor = Floor("home", "b")
+    waits, away = floor.agvs
+    away.home, away.goal = AT["near"], AT["slot"]
+    assert absent() == 1
+    assert floor.claims.absent_nearer(waits, frozenset({AT["near"]})) == -1
+    assert floor.claims.absent_nearer(away, frozenset()) == -1  # the other one's home is farther away
+    away.then = AT["near"]
+    assert absent() == -1  # its way home is planned
+    away.then, away.off_duty = -1, True
+    assert absent() == -1
+    away.off_duty = False
+    floor.executor.agvs[1].pending.append(AT["near"])
+    assert absent() == -1
+    floor.executor.agvs[1].pending.clear()
+    monkeypatch.setattr("controller.claims.NEARER_S", 2.0)
+    del floor.claims.__dict__["_nearer"]
+    assert absent() == -1

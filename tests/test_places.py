@@ -1,5 +1,7 @@
 """Which slot and which bay: against shortest paths of networkx in a garage with one-way lanes, and in whole runs."""
 
+import json
+
 import networkx as nx
 import numpy as np
 import pytest
@@ -137,9 +139,38 @@ def test_while_all_bays_are_taken_cars_wait_at_the_agvs_homes(tmp_path):
     graph = read_net("map1").graph  # an AGV's front stands at the vertex
     metres = np.hypot(*(stands[["x_m", "y_m"]].to_numpy()[:, None] - graph.xy).transpose(2, 0, 1))
     at = metres.argmin(axis=1)
-    at_home = at == np.array(graph.homes)[stands["agv"]]
+    at_home = np.isin(at, graph.homes)
     assert sum(at_home) > 2 * sum(np.isin(at, graph.slots)), "from the slots the way to a bay is long"
     assert sum(at_home) > 100
+
+
+@pytest.mark.parametrize("plant", ["discrete", "sumo"])
+def test_the_record_tells_of_each_promise_and_each_exchange_of_homes(tmp_path, plant):
+    """Told once more from the events alone: who has which bay, and which home is whose."""
+    traffic = {"kind": "poisson", "arrivals_share_per_h": 2.0, "dwell_median_min": 5.0, "initial_occupancy": 0.5}
+    keys = {"agvs": 24, "plant": plant, "workload": traffic, "duration_s": 1800.0, "record": {"replay": False}}
+    simulate(load_scenario("map2", keys), tmp_path / "run")
+    run = load_run(tmp_path / "run")
+    names = run.vertices["name"]
+    homes = dict(enumerate(names[list(read_net("map2").graph.homes)[:24]]))
+    first, bay_of, traded = dict(homes), {}, 0
+    for kind, agv, vertex, detail in run.events[["kind", "agv", "vertex", "detail"]].itertuples(index=False):
+        told = json.loads(detail or "{}")
+        if kind == "bay_promised":
+            if told["instead_of"] >= 0:
+                traded += 1
+                assert bay_of.pop(told["instead_of"]) == vertex
+            bay_of[agv] = vertex
+            assert list(bay_of.values()).count(vertex) <= 2, "the holder, and the one that comes next"
+        elif kind == "lower" and "bay" in names[vertex]:
+            assert bay_of.pop(agv) == vertex
+        elif kind == "homes_exchanged":
+            new = {int(n): home for n, home in told["homes"].items()}
+            assert sorted(new.values()) == sorted(homes[n] for n in new)
+            homes |= new
+    assert sorted(homes.values()) == sorted(first.values())
+    assert traded, "no bay was traded"
+    assert homes != first, "no homes were exchanged"
 
 
 def test_who_would_be_at_a_bay_before_the_one_at_work_has_left_waits_where_it_is():
@@ -154,7 +185,7 @@ def test_who_would_be_at_a_bay_before_the_one_at_work_has_left_waits_where_it_is
 def test_with_complete_plans_the_next_agv_sets_out_while_the_one_at_the_bay_works(tmp_path, planner, sets_out):
     traffic = {"kind": "poisson", "arrivals_share_per_h": 2.0, "dwell_median_min": 5.0, "initial_occupancy": 0.5}
     keys = {"agvs": 8, "planner": planner, "workload": traffic, "duration_s": 1200.0, "record": {"sample_s": 1.0}}
-    metrics = simulate(load_scenario("map1", keys), tmp_path / "run").metrics
+    metrics = simulate(load_scenario("map2", keys), tmp_path / "run").metrics
     assert metrics["footprint_overlaps"] == metrics["sumo_collisions"] == metrics["deadlocks_unresolved"] == 0
     found = coming_next(load_run(tmp_path / "run"), read_net("map1").graph.names)
     assert (len(found) > 5) is sets_out
