@@ -185,7 +185,7 @@ def test_who_would_be_at_a_bay_before_the_one_at_work_has_left_waits_where_it_is
 def test_with_complete_plans_the_next_agv_sets_out_while_the_one_at_the_bay_works(tmp_path, planner, sets_out):
     traffic = {"kind": "poisson", "arrivals_share_per_h": 2.0, "dwell_median_min": 5.0, "initial_occupancy": 0.5}
     keys = {"agvs": 8, "planner": planner, "workload": traffic, "duration_s": 1200.0, "record": {"sample_s": 1.0}}
-    metrics = simulate(load_scenario("map2", keys), tmp_path / "run").metrics
+    metrics = simulate(load_scenario("map1", keys), tmp_path / "run").metrics
     assert metrics["footprint_overlaps"] == metrics["sumo_collisions"] == metrics["deadlocks_unresolved"] == 0
     found = coming_next(load_run(tmp_path / "run"), read_net("map1").graph.names)
     assert (len(found) > 5) is sets_out
