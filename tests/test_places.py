@@ -170,7 +170,7 @@ def test_the_record_tells_of_each_promise_and_each_exchange_of_homes(tmp_path, p
             assert sorted(new.values()) == sorted(homes[n] for n in new)
             homes |= new
     assert sorted(homes.values()) == sorted(first.values())
-    assert traded or plant == "discrete", "no bay was traded"  # in ticks a bay is free too soon for anybody to be nearer
+    assert traded or plant == "discrete", "no bay was traded; in ticks nobody is so much nearer than another one"
     assert homes != first, "no homes were exchanged"
 
 
