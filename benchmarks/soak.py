@@ -273,16 +273,12 @@ def watched_cars() -> Iterator[list[str]]:
 
     def watched(acs: Acs, now: int, states: Any) -> Any:
         given = step(acs, now, states)
-        for command in given:
-            if isinstance(command, Advance):
-                for v in command.vertices:
-                    task = acs.agvs[command.agv].task
-                    if v in parked(acs) and (task is None or v not in (task.origin, task.destination)):
-                        finds.append(f"step {now}: AGV {command.agv} drives through the car in {acs.graph.names[v]}")
+        slots = {v: c.agv for c in given if isinstance(c, Advance) for v in c.vertices if v in acs.garage.slot_of}
+        for v in slots.keys() & acs.garage.parked.values() if slots else ():
+            task = acs.agvs[slots[v]].task
+            if task is None or v not in (task.origin, task.destination):
+                finds.append(f"step {now}: AGV {slots[v]} drives through the car in {acs.graph.names[v]}")
         return given
-
-    def parked(acs: Acs) -> set[int]:
-        return set(acs.garage.parked.values())
 
     Acs.step = watched  # type: ignore[assignment, method-assign]
     try:

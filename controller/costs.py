@@ -113,6 +113,10 @@ class Costs:
             way = _descend(start, goal, table, walls, *self._out_of)
         return [Vertex(v) for v in way.tolist()]
 
+    def has_way(self, start: Vertex, goal: Vertex, walls: NDArray[np.uint8]) -> bool:
+        """Whether there is a way around all walls; the goal may be one. Turns are ignored."""
+        return start == goal or bool(self.way(start, goal, walls))
+
 
 @njit(cache=True)
 def _descend(start, goal, to, walls, first, heads, steps):  # type: ignore[no-untyped-def]

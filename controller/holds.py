@@ -15,6 +15,9 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+import numpy as np
+from numpy.typing import NDArray
+
 from controller.costs import Costs
 from controller.deadlock.waits import WaitGraph, wait_graph
 from controller.executor import Executor
@@ -140,9 +143,14 @@ class Holds:
             return self._at_goal(agv)
         if agv.goal in self._outages.closed:
             return Hold(Cause.CLOSED, vertex=agv.goal, faults=self._outages.closing(agv.goal))
-        if agv.goal in walls or agv.goal not in reachable(self._executor.graph, a.last, walls):
+        if agv.goal in walls or not self._costs.has_way(a.last, agv.goal, self._mask(walls)):
             return self._cut_off(agv, walls)
         return Hold(Cause.NO_PLAN, vertex=agv.goal) if not a.pending else None
+
+    def _mask(self, walls: Collection[Vertex]) -> NDArray[np.uint8]:
+        mask = np.zeros_like(self._costs.blocked)
+        mask[list(walls)] = 1
+        return mask
 
     def _at_goal(self, agv: Agv) -> Hold | None:
         """What holds an AGV that stands where it was to go."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from controller.costs import Costs
 from controller.executor import Executor
 from controller.fleet import Agv
-from controller.types import FOREVER, AgvNumber
+from controller.types import AgvNumber
 from sumo_nets.numbering import Numbered, Vertex
 
 
@@ -76,4 +76,4 @@ def _has_no_way(executor: Executor, agv: Agv, costs: Costs, walls: NDArray[np.ui
         return False
     if agv.goal in executor.closed or agv.goal in held:
         return True
-    return bool(costs.around(at, walls)[agv.goal] >= FOREVER > costs.around(at)[agv.goal])
+    return not costs.has_way(at, agv.goal, walls) and costs.has_way(at, agv.goal, costs.blocked)
