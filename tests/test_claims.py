@@ -119,6 +119,17 @@ def test_bays_of_agvs_that_are_out_of_order_or_closed_are_not_promised():
     assert floor.claims.promise_bays({2: floor.task()}, 0, frozenset({AT["right"]}), True) == {}
 
 
+@pytest.mark.parametrize(("ready_s", "first"), [(0.0, 0), (99.0, 1)])
+def test_who_stands_at_a_bay_takes_the_car_there_before_the_next_one_if_it_is_ready(ready_s, first):
+    floor = Floor("left", "b")
+    floor.claims.next[AT["left"]] = 1
+    assert floor.claims.only(5) == {AT["left"]: 1}  # no car waits
+    waits = floor.garage.request(Request(0.0, RequestKind.PARK, "waits"), 0.0)
+    waits.at_bay_s, waits.ready_s = 0.0, ready_s
+    floor.garage.bays[AT["left"]].inbound = waits
+    assert floor.claims.only(5) == {AT["left"]: first}
+
+
 # --- a bay for a nearer AGV, a home for one that waits ----------------------------------------------------------------
 
 

@@ -369,6 +369,16 @@ def test_what_a_fault_cuts_off_is_no_deadlock():
     assert yard.waits().edges == {2: 1}, "an AGV that cannot move waits for no AGV"
 
 
+def test_a_closed_place_cuts_off_who_has_to_go_there_or_through_it():
+    """No AGV is broken: B is closed, AGV 0 has to go to it, AGV 1 through it, and neither of the others."""
+    yard = Yard(CORRIDOR, "AB CA DD EE")
+    yard.executor.close(frozenset({yard.graph.index["B"]}))
+    blocked = yard.nobody.copy()
+    blocked[yard.graph.index["B"]] = 1
+    found = find_cut_off(yard.executor, yard.agvs, yard.costs, blocked)
+    assert (found.by_fault, found.barred) == ({0, 1}, frozenset())
+
+
 def test_room_is_made_behind_a_broken_agv_and_no_deadlock_counted():
     yard = Yard(DEEP_SIDING, "DD BE AS")
     yard.agvs[0].immobile = True

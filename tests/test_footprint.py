@@ -411,3 +411,14 @@ def test_more_overlaps_in_a_step_than_there_is_room_for_are_counted_up_to_it():
     assert check.result().overlaps == 4096
     check.step(1.0, bodies(*[(20.0 * n, 0.0, 0.0) for n in range(100)]))
     assert check.result().overlaps == 4096
+
+
+@pytest.mark.parametrize(("tip", "overlaps"), [(2.35, 1), (2.6, 1), (2.75, 0)])
+def test_a_body_that_turns_on_the_spot_sweeps_what_it_does_not_touch_at_either_step(tip, overlaps):
+    """From -45 to +45 degrees its corners reach 2.69 m ahead on the way, but it reaches 1.41 m before and after."""
+    check = FootprintCheck()
+    for time_s, degrees in ((0.5, -45.0), (1.0, 45.0)):
+        nose = 2.5 * math.cos(math.radians(degrees)), 2.5 * math.sin(math.radians(degrees)), degrees
+        given = bodies(nose, (tip, 0.0, 180.0))
+        check.step(time_s, replace(given, width=np.array([2.0, 0.2])))
+    assert check.result().overlaps == overlaps

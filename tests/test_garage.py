@@ -210,6 +210,11 @@ class Books(RuleBasedStateMachine):
         self.served += 1
 
     @invariant()
+    def a_slot_is_reserved_for_each_car_on_its_way_to_one_and_for_no_other(self):
+        parking = {task.destination for task in (*self.assigned, *self.carried) if task.is_park}
+        assert set(self.garage.reserved) == parking
+
+    @invariant()
     def everything_adds_up(self):
         if not hasattr(self, "garage"):
             return

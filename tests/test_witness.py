@@ -149,6 +149,7 @@ def test_a_broken_seam_between_controller_and_plant_is_seen(
         ("tasks", "at_bay_s", 5.0, "customers", "tasks say bay2_9w (in) from"),
         ("tasks", "lifted_s", 5.0, "customers", "SUMO says bay2_9w_in from"),
         ("tasks", "request", 1000, "customers", "SUMO saw 0 stays"),
+        ("tasks", "request", 1000, "customers", "no task is its own"),
         ("tasks", "agv", 1, "agvs", "tasks say the car of request"),
         ("tasks", "destination", "slot5_8n1", "agvs", "was lowered at slot5_8n1"),
         ("tasks", "delivered_s", -40.0, "agvs", "was lowered at"),
