@@ -1,9 +1,10 @@
 """Lifelong tasks on 4-connected grids, one move a tick: the setting in which public solvers are measured.
 
     python benchmarks/lifelong.py [--planner token,whca] [--map warehouse] [--agents 10,50] [--seeds 3] [--ticks 1000]
-        [--repeats 3]
+        [--repeats 3] [--goals any] [--shared]
 
-On arrival an AGV gets a random new end point that nobody else has or heads for. Turning costs nothing. Executor,
+On arrival an AGV gets a random new end point that nobody else has or heads for; with ``--goals any`` every cell is an
+end point, with ``--shared`` several AGVs may have one goal. Turning costs nothing. Executor,
 planner and deadlock handling are those of the product, called as the ACS calls them; there is no SUMO. One row for
 each map, fleet and planner: tasks a tick (also without any conflict: ``ideal``), milliseconds of CPU a tick of planning
 alone and of the whole control, deadlocks found and left, and the longest time that no task was done (a jam). Distances
@@ -124,10 +125,26 @@ class Timed:
         return result
 
 
+@dataclass(frozen=True, slots=True)
+class Goals:
+    """Which goals are given.
+
+    Attributes:
+        anywhere: every cell may be one, not only the map's end points.
+        shared: several agents may have one goal, or one where another agent is.
+    """
+
+    anywhere: bool = False
+    shared: bool = False
+
+
 class Lifelong:
     """One run.
 
     ``control`` are options of ``ControlOptions`` that differ from ``control_options``.
+
+    Raises:
+        ValueError: not every agent can have a place and a goal of its own.
 
     Attributes:
         done: tasks done so far.
@@ -136,13 +153,23 @@ class Lifelong:
     """
 
     def __init__(
-        self, graph: Graph, agents: int, planner: str, seed: int, options: dict[str, object], **control: Any
+        self,
+        graph: Graph,
+        agents: int,
+        planner: str,
+        seed: int,
+        options: dict[str, object],
+        goals: Goals = Goals(),
+        **control: Any,
     ) -> None:
-        self.graph = graph
+        self.graph, self.goals = graph, goals
         motion = ticks(graph)
         self.rng = random.Random(seed)
-        ends = {*graph.slots, *graph.bays}
+        ends = set() if goals.anywhere else {*graph.slots, *graph.bays}
         self.points = sorted(ends or graph.vertices)
+        most = len(self.points) - 1 if goals.shared else (len(self.points) - 1) // 2
+        if agents > most:
+            raise ValueError(f"agents: {agents}: the {len(self.points)} end points of {graph.name} allow 1 to {most}")
         starts = self.rng.sample(self.points, agents)
         self.timed = Timed(load_planner(planner, graph, motion, options))
         self.timed.prepare(graph, motion, sorted(ends))
@@ -195,7 +222,9 @@ class Lifelong:
         self._new_goal(agv)
 
     def _new_goal(self, agv: Agv) -> None:
-        taken = {v for other in self.agvs for v in (other.goal, self.executor.agvs[other.number].last)}
+        taken = {self.executor.agvs[agv.number].last}
+        if not self.goals.shared:
+            taken |= {v for other in self.agvs for v in (other.goal, self.executor.agvs[other.number].last)}
         agv.goal = self.rng.choice([v for v in self.points if v not in taken])
         self.trips.append((self.executor.agvs[agv.number].last, agv.goal))
         self.planning.goal_changed()
@@ -228,14 +257,21 @@ def control_options(planner: str) -> ControlOptions:
 
 
 def measure(
-    graph: Graph, agents: int, planner: str, seeds: int, length: int, options: dict[str, object], repeats: int = 1
+    graph: Graph,
+    agents: int,
+    planner: str,
+    seeds: int,
+    length: int,
+    options: dict[str, object],
+    repeats: int = 1,
+    goals: Goals = Goals(),
 ) -> dict[str, object]:
     """One row: means over the seeds, the worst of what must not happen, times the least of some repeats."""
     runs, planning, control = [], 0.0, 0.0
     for seed in range(1, seeds + 1):
         clocks = []
         for _ in range(repeats):
-            run = Lifelong(graph, agents, planner, seed, options)
+            run = Lifelong(graph, agents, planner, seed, options, goals)
             start = process_time()
             run.run(length)
             clocks.append((run.timed.spent_s, process_time() - start))
@@ -264,9 +300,10 @@ def rows(given: argparse.Namespace) -> Iterator[dict[str, object]]:
         fleets: Sequence[int] = [int(n) for n in given.agents.split(",")] if given.agents else FLEETS[name]
         for planner in given.planner.split(","):
             options = OPTIONS.get(planner, {}) | given.options
+            goals = Goals(given.goals == "any", given.shared)
             measure(graph, 2, planner, 1, 20, options)
             for agents in fleets:
-                yield measure(graph, agents, planner, given.seeds, given.ticks, options, given.repeats)
+                yield measure(graph, agents, planner, given.seeds, given.ticks, options, given.repeats, goals)
 
 
 def main() -> None:
@@ -278,10 +315,15 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--ticks", type=int, default=1000)
     parser.add_argument("--repeats", type=int, default=1, help="runs of each seed, of which the quickest counts")
+    parser.add_argument("--goals", choices=("endpoints", "any"), default="endpoints")
+    parser.add_argument("--shared", action="store_true", help="several agents may have one goal")
     parser.add_argument("--options", type=json.loads, default={}, help="of the planner, as JSON")
     parser.add_argument("--csv", type=Path)
     given = parser.parse_args()
-    give_out(rows(given), given.csv)
+    try:
+        give_out(rows(given), given.csv)
+    except ValueError as error:
+        parser.error(str(error))
 
 
 if __name__ == "__main__":
