@@ -234,8 +234,7 @@ class Acs:
 
     def _carry_to(self, agv: Agv, task: Task, place: Vertex) -> None:
         task.destination = place
-        self._set_goal(agv, place)
-        self._vacate(agv, task)
+        self._send(agv, task, place)
 
     def _wait_with_car(self, agv: Agv, task: Task) -> None:
         """Let an AGV wait for a bay at a home near the bays, or at the slot if that is nearer."""
@@ -244,18 +243,18 @@ class Acs:
         if absent >= 0:
             self._exchange_homes(agv, self.agvs[absent])
         if not at == agv.goal == task.origin or self._claims.nearer_to_bays(agv.home, at):
-            self._set_goal(agv, agv.home)
-        self._vacate(agv, task)
+            self._send(agv, task, agv.home)
 
     def _exchange_homes(self, agv: Agv, other: Agv) -> None:
         agv.home, other.home = other.home, agv.home
         homes = {each.number: self.graph.names[each.home] for each in (agv, other)}
         self.log(Event("homes_exchanged", agv.number, detail={"waiting": agv.number, "homes": homes}))
 
-    def _vacate(self, agv: Agv, task: Task) -> None:
-        """Free the slot for other cars, once the AGV that lifted its car there has somewhere to go."""
-        if agv.goal != task.origin and self.executor.agvs[agv.number].last == task.origin:
+    def _send(self, agv: Agv, task: Task, place: Vertex) -> None:
+        """Send an AGV on with its car; once it has somewhere to go, other cars may have the slot where it lifted it."""
+        if agv.goal == task.origin:  # wherever it is: in a deadlock it may have been moved out of the slot
             self.garage.vacate(task.origin)
+        self._set_goal(agv, place)
 
     def _plan_way_out(self, agv: Agv) -> None:
         """Plan the AGV's departure from the bay early, so that the next AGV can plan its arrival."""

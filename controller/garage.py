@@ -436,6 +436,10 @@ class Garage:
             )
         if sorted(self.parked.values()) != sorted(v for v, car in self.slot_of.items() if car):
             problems.append("slots and parked cars disagree")
+        on_agvs = {j.origin for j in self.tasks if j.lifted_s == j.lifted_s and j.delivered_s != j.delivered_s}
+        taken = {int(v) for v in self.slots[~self.slot_free]}
+        for slot in sorted(taken - set(self.parked.values()) - self.reserved.keys() - on_agvs):
+            problems.append(f"{self.graph.names[slot]} is taken, and no car is there, on its way, or just lifted")
         if self.coming != sum(1 for j in self.tasks if j.is_park and j.state == "waiting"):
             problems.append("cars: the count of those on their way in is off")
         if len(self.parked) + self.coming > len(self.graph.slots):

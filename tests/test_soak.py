@@ -7,6 +7,8 @@ import soak
 
 from controller.executor import Executor
 from controller.visits import Barred
+from parking_sim.config import check_scenario
+from parking_sim.simulation import simulate
 
 
 @pytest.mark.parametrize("planner", ["whca", "token"])
@@ -78,3 +80,14 @@ def test_the_watchers_see_what_a_broken_executor_does(monkeypatch):
     monkeypatch.setattr(Barred, "on", lambda _self, _path: -1)
     finds = [soak.make("discrete", number)["finds"] for number in (0,)]
     assert any("two AGVs" in find for find in finds), finds
+
+
+def test_an_agv_that_is_moved_out_of_a_slot_with_its_car_leaves_the_slot_to_others(tmp_path):
+    """Piece 294: an AGV waited in a slot for a bay, and the resolution of a deadlock moved it away.
+
+    No car could ever be parked in that slot again.
+    """
+    keys = soak.scenario_keys("discrete", 294)
+    summary = simulate(check_scenario(keys | {"duration_s": 4800.0}, "piece", tmp_path))
+    assert summary.metrics["cars_conserved"] == 1
+    assert summary.metrics["deadlocks_resolved"] > 10
