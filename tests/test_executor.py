@@ -143,13 +143,24 @@ def test_the_order_at_a_place_outlasts_a_delay():
         (CROSS, "nw", {0: "nxs", 1: "wxe"}, "conflict", "AGVs 0 and 1 both plan to be on x"),
         (LINE, "ab", {0: "ab", 1: "ba"}, "swap", "AGVs 0 and 1 would have to change places"),
         (LINE, "ad", {0: "abcd", 1: "dcba"}, "swap", "AGVs 0 and 1 would have to change places"),
+        (LINE, "da", {0: "dcba", 1: "abcd"}, "swap", "AGVs 0 and 1 would have to change places"),
         (LINE, "ac", {0: "abc", 1: "cba"}, "conflict", "AGVs 0 and 1 both plan to be on b"),
         (RING, "ab", {0: "abc"}, "conflict", ""),
         (RING, "a", {0: "ac"}, "edge", "no lane from a to c"),
         (RING, "a", {0: "ad"}, "edge", "no lane from a to d"),
         (RING, "a", {0: "bc"}, "start", "does not start where the authority ends"),
     ],
-    ids=["crossing", "swap", "meeting between", "meeting at", "rest in the way", "jump", "one-way", "start"],
+    ids=[
+        "crossing",
+        "swap",
+        "meeting between",
+        "meeting between, from the other side",
+        "meeting at",
+        "rest in the way",
+        "jump",
+        "one-way",
+        "start",
+    ],
 )
 def test_what_cannot_be_driven_is_refused_with_the_reason(graph, starts, paths, kind, reason):
     drive = Drive.of(graph, classic(graph), [graph.index[name] for name in starts])
@@ -398,3 +409,17 @@ def test_a_grant_that_goes_on_with_a_drive_does_not_count_from_anew():
     executor.grants(6)  # a step late: d is granted now
     assert executor.agvs[0].last == LINE.index["d"]
     assert executor.leave_steps(0, 6) == [1, 1, 1, 1]
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_swap_is_found_by_the_side_of_others_that_follow_each_other(late):
+    """AGVs 0 and 1 follow each other round a ring, which is no swap; 2 and 3 change places on a lane beside it."""
+    places = {"a": (0, 0), "b": (1, 0), "c": (1, 1), "d": (0, 1), "p": (3, 0), "q": (4, 0)}
+    graph = lanes(places, "ab bc cd da p-q")
+    paths = {agv: way(graph, agv, names) for agv, names in enumerate(("abc", "dab", "pq", "qp"))}
+    paths[3] = way(graph, 3, "qp", start=late)
+    executor = Executor(graph, classic(graph), [graph.index[name] for name in "adpq"])
+    refusal = executor.accept(paths)
+    assert refusal is not None
+    assert (refusal.kind, {*refusal.agents}) == (("conflict" if late else "swap"), {2, 3})
+    assert executor.accept({agv: paths[agv] for agv in (0, 1)}) is None

@@ -170,8 +170,9 @@ def test_the_record_tells_of_each_promise_and_each_exchange_of_homes(tmp_path, p
             assert sorted(new.values()) == sorted(homes[n] for n in new)
             homes |= new
     assert sorted(homes.values()) == sorted(first.values())
-    assert traded or plant == "discrete", "no bay was traded; in ticks nobody is so much nearer than another one"
-    assert homes != first, "no homes were exchanged"
+    if plant == "sumo":  # in ticks nobody is so much nearer than another one
+        assert traded, "no bay was traded"
+        assert homes != first, "no homes were exchanged"
 
 
 def test_who_would_be_at_a_bay_before_the_one_at_work_has_left_waits_where_it_is():
