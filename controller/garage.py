@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import nan
+from math import inf, nan
 from typing import Literal
 
 import numpy as np
@@ -102,10 +102,19 @@ class Task:
 
 @dataclass(slots=True)
 class BayPlaces:
-    """The customers' two places at a bay, one for arriving and one for leaving cars. None means free."""
+    """The customers' two places at a bay, one for arriving and one for leaving cars. None means free.
+
+    Attributes:
+        inbound: the car there, or called to it.
+        called: the car called to it while that one is lifted.
+        outbound: the car being lowered, or standing there.
+        lifted_from_s: time at which the lift under way will have ended; infinite if none is.
+    """
 
     inbound: Task | None = None
+    called: Task | None = None
     outbound: Task | None = None
+    lifted_from_s: float = inf
 
 
 class StreetQueue:
@@ -189,6 +198,8 @@ class Garage:
         self._asked_for: set[str] = set()
         self._early: dict[str, Task] = {}
         self._boarding: list[Task] = []
+        self._called_s: dict[RequestNumber, float] = {}
+        self._approach_s = 0.0  # least time from a call to the car at the bay so far
 
     # --- requests -------------------------------------------------------------------------------------------------
 
@@ -287,23 +298,33 @@ class Garage:
     # --- customers' side of the bays ------------------------------------------------------------------------------
 
     def call_forward(self, now_s: float, closed: frozenset[Vertex] = frozenset()) -> list[Command]:
-        """Send queued customers, in order, to bays with a free inbound place."""
+        """Send queued customers, in order, to bays whose inbound place is free, or will be before they can be there.
+
+        How long they drive at least is learnt from those who were sent before.
+        """
         commands: list[Command] = []
         for bay, places in self.bays.items():
             if not self.queue:
                 break
-            if places.inbound is None and bay not in closed:
+            soon = places.called is None and places.lifted_from_s - now_s < self._approach_s
+            if bay not in closed and (places.inbound is None or soon):
                 task = self.queue.call(now_s)
                 task.origin = bay
-                places.inbound = task
+                self._called_s[task.number] = now_s
+                if places.inbound is None:
+                    places.inbound = task
+                else:
+                    places.called = task
                 commands.append(CallForward(task.number, bay))
         return commands
 
     def car_at_bay(self, request: RequestNumber, bay: Vertex, now_s: float) -> Task:
         """Record that the customer's car stands at the inbound place. The task is open from now on."""
         task = self.tasks[request]
-        if self.bays[bay].inbound is not task:
+        if task not in (self.bays[bay].inbound, self.bays[bay].called):
             raise RuntimeError(f"the car of request {request} came to bay {bay}, where nobody called it")
+        drove_s = now_s - self._called_s.pop(request)
+        self._approach_s = min(drove_s, self._approach_s or drove_s)
         task.at_bay_s = now_s
         task.ready_s = now_s + task.handling_s
         self.open.append(task)
@@ -362,12 +383,18 @@ class Garage:
         """Exclude these slots from new choices until the next call."""
         self.slot_open[:] = [slot not in vertices for slot in self.graph.slots]
 
+    def lift_starts(self, task: Task, ends_s: float) -> None:
+        """Take note of when a car at a bay will be on the AGV: the next customer may set out before."""
+        if task.is_park and self.handover == "bay":
+            self.bays[task.origin].lifted_from_s = ends_s
+
     def lifted(self, task: Task, now_s: float) -> None:
         """Record that the car is on the AGV. Its slot stays reserved until ``vacate``."""
         task.lifted_s = now_s
         if task.is_park:
             if self.handover == "bay":
-                self.bays[task.origin].inbound = None
+                places = self.bays[task.origin]
+                places.inbound, places.called, places.lifted_from_s = places.called, None, inf
         else:
             slot = self.parked.pop(task.car)
             self.slot_of[slot] = ""
@@ -437,7 +464,7 @@ class Garage:
         if sorted(self.parked.values()) != sorted(v for v, car in self.slot_of.items() if car):
             problems.append("slots and parked cars disagree")
         on_agvs = {j.origin for j in self.tasks if j.lifted_s == j.lifted_s and j.delivered_s != j.delivered_s}
-        taken = {int(v) for v in self.slots[~self.slot_free]}
+        taken = {Vertex(int(v)) for v in self.slots[~self.slot_free]}
         for slot in sorted(taken - set(self.parked.values()) - self.reserved.keys() - on_agvs):
             problems.append(f"{self.graph.names[slot]} is taken, and no car is there, on its way, or just lifted")
         if self.coming != sum(1 for j in self.tasks if j.is_park and j.state == "waiting"):
