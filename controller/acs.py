@@ -142,9 +142,7 @@ class Acs:
         task = agv.task
         at_slot = agv.goal in self.garage.slot_of
         if agv.mode is AgvMode.GOING_TO_COLLECT and task and task.ready_s <= self._now_s:
-            steps = self.rules.lift_slot if at_slot else self.rules.lift_bay
-            self.garage.lift_starts(task, self._now_s + self._setup.motion.seconds(steps))
-            self._act(agv, Action.LIFT, steps)
+            self._act(agv, Action.LIFT, self.rules.lift_slot if at_slot else self.rules.lift_bay)
         elif agv.mode in (AgvMode.GOING_TO_PARK, AgvMode.RETURNING_WITH_CAR) and task and task.destination == agv.goal:
             if self.garage.may_lower(task):
                 self.garage.lower_starts(task)

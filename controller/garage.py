@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf, nan
+from math import nan
 from typing import Literal
 
 import numpy as np
@@ -102,19 +102,10 @@ class Task:
 
 @dataclass(slots=True)
 class BayPlaces:
-    """The customers' two places at a bay, one for arriving and one for leaving cars. None means free.
-
-    Attributes:
-        inbound: the car there, or called to it.
-        called: the car called to it while that one is lifted.
-        outbound: the car being lowered, or standing there.
-        lifted_from_s: time at which the lift under way will have ended; infinite if none is.
-    """
+    """The customers' two places at a bay, one for arriving and one for leaving cars. None means free."""
 
     inbound: Task | None = None
-    called: Task | None = None
     outbound: Task | None = None
-    lifted_from_s: float = inf
 
 
 class StreetQueue:
@@ -198,8 +189,6 @@ class Garage:
         self._asked_for: set[str] = set()
         self._early: dict[str, Task] = {}
         self._boarding: list[Task] = []
-        self._called_s: dict[RequestNumber, float] = {}
-        self._approach_s = 0.0  # least time from a call to the car at the bay so far
 
     # --- requests -------------------------------------------------------------------------------------------------
 
@@ -298,33 +287,23 @@ class Garage:
     # --- customers' side of the bays ------------------------------------------------------------------------------
 
     def call_forward(self, now_s: float, closed: frozenset[Vertex] = frozenset()) -> list[Command]:
-        """Send queued customers, in order, to bays whose inbound place is free, or will be before they can be there.
-
-        How long they drive at least is learnt from those who were sent before.
-        """
+        """Send queued customers, in order, to bays with a free inbound place."""
         commands: list[Command] = []
         for bay, places in self.bays.items():
             if not self.queue:
                 break
-            soon = places.called is None and places.lifted_from_s - now_s < self._approach_s
-            if bay not in closed and (places.inbound is None or soon):
+            if places.inbound is None and bay not in closed:
                 task = self.queue.call(now_s)
                 task.origin = bay
-                self._called_s[task.number] = now_s
-                if places.inbound is None:
-                    places.inbound = task
-                else:
-                    places.called = task
+                places.inbound = task
                 commands.append(CallForward(task.number, bay))
         return commands
 
     def car_at_bay(self, request: RequestNumber, bay: Vertex, now_s: float) -> Task:
         """Record that the customer's car stands at the inbound place. The task is open from now on."""
         task = self.tasks[request]
-        if task not in (self.bays[bay].inbound, self.bays[bay].called):
+        if self.bays[bay].inbound is not task:
             raise RuntimeError(f"the car of request {request} came to bay {bay}, where nobody called it")
-        drove_s = now_s - self._called_s.pop(request)
-        self._approach_s = min(drove_s, self._approach_s or drove_s)
         task.at_bay_s = now_s
         task.ready_s = now_s + task.handling_s
         self.open.append(task)
@@ -383,18 +362,12 @@ class Garage:
         """Exclude these slots from new choices until the next call."""
         self.slot_open[:] = [slot not in vertices for slot in self.graph.slots]
 
-    def lift_starts(self, task: Task, ends_s: float) -> None:
-        """Take note of when a car at a bay will be on the AGV: the next customer may set out before."""
-        if task.is_park and self.handover == "bay":
-            self.bays[task.origin].lifted_from_s = ends_s
-
     def lifted(self, task: Task, now_s: float) -> None:
         """Record that the car is on the AGV. Its slot stays reserved until ``vacate``."""
         task.lifted_s = now_s
         if task.is_park:
             if self.handover == "bay":
-                places = self.bays[task.origin]
-                places.inbound, places.called, places.lifted_from_s = places.called, None, inf
+                self.bays[task.origin].inbound = None
         else:
             slot = self.parked.pop(task.car)
             self.slot_of[slot] = ""

@@ -419,37 +419,3 @@ def test_a_slot_from_which_a_car_was_lifted_is_free_unless_it_is_promised_or_tak
 
 def test_books_into_which_no_car_was_ever_put_are_in_order():
     assert empty().audit() == []
-
-
-def test_the_next_customer_sets_out_so_as_to_come_when_the_car_before_has_been_lifted():
-    """How long the way takes is known once somebody has driven it; the quickest one counts."""
-    garage = Garage(GRAPH, "bay", np.random.default_rng(1), Customers(0.0))
-    bay = next(iter(garage.bays))
-    others = frozenset(garage.bays) - {bay}
-    first, second, third, *_ = [garage.request(Request(0.0, RequestKind.PARK, f"c{n}"), 0.0) for n in range(5)]
-
-    def called(now_s: float) -> list[int]:
-        return [command.request for command in garage.call_forward(now_s, others)]
-
-    def lift(task: Task, now_s: float) -> None:
-        garage.assign(task, 0, now_s, bay, GRAPH.slots[task.number])
-        garage.lift_starts(task, now_s + 20.0)
-
-    assert called(0.0) == [first.number]
-    garage.car_at_bay(first.number, bay, 15.0)
-    lift(first, 100.0)
-    assert called(105.0) == []  # 15 s to go, and 15 s to drive
-    assert called(105.5) == [second.number]
-    assert called(106.0) == []  # one is enough
-    garage.lifted(first, 120.0)
-    assert garage.bays[bay].inbound is second
-    garage.car_at_bay(second.number, bay, 125.5)
-    lift(second, 200.0)
-    garage.call_forward(205.5, others)
-    garage.car_at_bay(third.number, bay, 215.5)  # 10 s only, so that it comes before the lift is over
-    assert garage.waiting_at(bay) is None
-    garage.lifted(second, 220.0)
-    assert garage.waiting_at(bay) is third
-    lift(third, 300.0)
-    assert called(309.0) == []
-    assert len(called(310.5)) == 1
