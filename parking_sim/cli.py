@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from controller.interrupted import as_interrupts
 from parking_sim import gate_logs, planner_check, routes, studies
 from parking_sim.command_groups import Grouped
 from parking_sim.errors import RunFailedError
@@ -28,6 +27,7 @@ from parking_sim.reproduce import app as reproduce_app
 from parking_sim.shadowing import require_own_packages
 from parking_sim.terminal import open_standard_streams
 from sumo_nets.errors import InputError
+from sumo_nets.interrupted import as_interrupts
 from sumo_nets.whole_file import write_whole
 from sumo_nets.wording import cut, one_of
 

@@ -22,7 +22,6 @@ from analysis.run_files import JOURNAL
 from controller.events import Event, EventKind
 from controller.faults import REPORTED, FaultReport
 from controller.garage import Task
-from controller.interrupted import as_interrupts
 from controller.planners.guest import PlannerError
 from controller.planning import PlanningCall
 from controller.types import NO_AGV, Advance, AgvMode, AgvNumber, Request, whole_steps
@@ -38,6 +37,7 @@ from parking_sim.plants import CarAtBay
 from parking_sim.plants.sumo_api import PlantError
 from parking_sim.standstill import Standstill
 from parking_sim.versions import code_version, versions
+from sumo_nets.interrupted import as_interrupts
 from sumo_nets.numbering import NO_VERTEX, NumberedList, Vertex, numbered
 
 if TYPE_CHECKING:

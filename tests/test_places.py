@@ -148,7 +148,7 @@ def test_while_all_bays_are_taken_cars_wait_at_the_agvs_homes(tmp_path):
 def test_the_record_tells_of_each_promise_and_each_exchange_of_homes(tmp_path, plant):
     """Told once more from the events alone: who has which bay, and which home is whose."""
     traffic = {"kind": "poisson", "arrivals_share_per_h": 2.0, "dwell_median_min": 5.0, "initial_occupancy": 0.5}
-    keys = {"agvs": 24, "plant": plant, "workload": traffic, "duration_s": 1800.0, "record": {"replay": False}}
+    keys = {"agvs": 24, "plant": plant, "workload": traffic, "duration_s": 1200.0, "record": {"replay": False}}
     simulate(load_scenario("map2", keys), tmp_path / "run")
     run = load_run(tmp_path / "run")
     graph = read_net("map2").graph

@@ -27,11 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.flags import FLAGS, Flags
-from controller.interrupted import as_interrupts
 from controller.planners.answer import NoPlanError, read_answer
 from controller.types import Motion, Planner, PlanningProblem, PlanResult
 from sumo_nets.errors import InputError
 from sumo_nets.graph import Graph
+from sumo_nets.interrupted import as_interrupts
 from sumo_nets.wording import cut
 
 T = TypeVar("T")
