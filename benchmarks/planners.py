@@ -56,7 +56,8 @@ Case = tuple[str, str, int, int, float, str]
 
 MEASURES = (
     "tasks_done", "deadlocks_found", "deadlocks_resolved", "deadlocks_unresolved", "sumo_collisions",
-    "footprint_overlaps", "car_on_agv_max_s", "wall_planning_step_p50_ms", "wall_planning_step_p99_ms", "planning_calls",
+    "footprint_overlaps", "car_on_agv_max_s", "wall_planning_step_p50_ms", "wall_planning_step_p99_ms",
+    "planning_calls",
 )  # fmt: skip
 
 
