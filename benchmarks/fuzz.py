@@ -2,12 +2,14 @@
 
     python benchmarks/fuzz.py --files 10000 --csv benchmarks/results/fuzz.csv
     python benchmarks/fuzz.py --readers net sweep --files 500 --seed 7 --keep finds
+    python benchmarks/fuzz.py --coverage --files 200          guided by the lines that are reached, several times slower
 
 Each file is one of the repository's own with a few changes: bytes flipped, cut, spliced with another file, lines
 doubled, odd scalars in place of numbers and words, numbers made huge, parts of a document swapped, unfolded or put into
 each other. A mutant that brings a reader to a complaint not heard before is kept, and mutated further: so the fuzzing
-goes on where it has come to. Each call has ten seconds; what it writes outside its folder is seen by an audit hook, and
-the memory of the process is looked at. Files that were found are written to ``--keep``. Exit code 1 if anything was.
+goes on where it has come to. With ``--coverage`` so is one that reaches a line not reached before. Each call has ten
+seconds, with ``--coverage`` a minute; what it writes outside its folder is seen by an audit hook, and the memory of the
+process is looked at. Files that were found are written to ``--keep``. Exit code 1 if anything was.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from dataclasses import dataclass, field
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import pandas as pd
@@ -44,6 +47,10 @@ MOST_KEPT, OWN = 400, 0.6
 #: Events of the interpreter that change files, and which of their arguments name them.
 _CHANGES = {"os.remove": 1, "os.rename": 2, "os.mkdir": 1, "os.rmdir": 1, "os.link": 2, "os.symlink": 2,
             "os.truncate": 1, "shutil.rmtree": 1, "os.chmod": 1, "subprocess.Popen": 1, "os.system": 1}  # fmt: skip
+
+
+#: Where the program's own files are.
+_ROOT = str(Path(__file__).parent.parent)
 
 
 class _HangError(BaseException):
@@ -87,16 +94,50 @@ class Watch:
         self.seen += [f"{event} {name}" for name in names if not str(name).startswith(self._folder)]
 
 
+class Coverage:
+    """Lines of the program that have been reached, if they are looked at.
+
+    Attributes:
+        lines: file and line of each.
+        grew: whether the last call reached a new one.
+        limit_s: seconds that a call may take.
+    """
+
+    def __init__(self, on: bool) -> None:
+        self._on, self.lines, self.grew = on, set[tuple[str, int]](), False
+        self.limit_s = 6 * LIMIT_S if on else LIMIT_S
+
+    def call(self, action: Callable[[], object]) -> None:
+        """Do something, and look at the lines that it reaches."""
+        before = len(self.lines)
+        if self._on:
+            sys.settrace(self._enter)
+        try:
+            action()
+        finally:
+            sys.settrace(None)
+            self.grew = len(self.lines) > before
+
+    def _enter(self, frame: FrameType, _event: str, _argument: object) -> Any:
+        name = frame.f_code.co_filename
+        return self._line if name.startswith(_ROOT) and "site-packages" not in name else None
+
+    def _line(self, frame: FrameType, event: str, _argument: object) -> Any:
+        if event == "line":
+            self.lines.add((frame.f_code.co_filename, frame.f_lineno))
+        return self._line
+
+
 def peak_mb() -> float:
     """The most memory that the process has had."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
 
 
-def outcome(reader: Reader, folder: Path, watch: Watch) -> tuple[str, str]:
+def outcome(reader: Reader, folder: Path, watch: Watch, coverage: Coverage) -> tuple[str, str]:
     """What comes of a file: taken, refused, long, hang, write or traceback; and the words."""
-    signal.alarm(LIMIT_S)
+    signal.alarm(coverage.limit_s)
     try:
-        written = watch.call(lambda: reader.read(folder))
+        written = watch.call(lambda: coverage.call(lambda: reader.read(folder)))
     except InputError as error:
         said = str(error)
         lines = said.split("\n")
@@ -111,7 +152,9 @@ def outcome(reader: Reader, folder: Path, watch: Watch) -> tuple[str, str]:
     return ("write", "\n".join(written)) if written else ("taken", "")
 
 
-def fuzz(reader: Reader, files: int, seed: int, keep: Path | None, folder: Path, watch: Watch) -> Tally:
+def fuzz(
+    reader: Reader, files: int, seed: int, keep: Path | None, folder: Path, watch: Watch, coverage: Coverage
+) -> Tally:
     """Read so many mutants of a reader's files.
 
     Args:
@@ -121,6 +164,7 @@ def fuzz(reader: Reader, files: int, seed: int, keep: Path | None, folder: Path,
         keep: folder for files that were found.
         folder: where mutants lie while they are read.
         watch: sees what is written elsewhere.
+        coverage: sees which lines are reached.
     """
     rng = random.Random(f"{reader.name} {seed}")
     seeds = list(reader.seeds())
@@ -134,7 +178,7 @@ def fuzz(reader: Reader, files: int, seed: int, keep: Path | None, folder: Path,
         for file, content in mutant.items():
             (folder / file).write_bytes(content)
         before, begin = peak_mb(), time.perf_counter()
-        result, words = outcome(reader, folder, watch)
+        result, words = outcome(reader, folder, watch, coverage)
         tally.longest_s = max(tally.longest_s, time.perf_counter() - begin)
         tally.gained_mb = max(tally.gained_mb, peak_mb() - before)
         if peak_mb() - before > MOST_MB:
@@ -147,7 +191,7 @@ def fuzz(reader: Reader, files: int, seed: int, keep: Path | None, folder: Path,
                 tally.finds.append(f"{reader.name} {number}: {result}: {words[-1500:]}")
                 if keep:
                     shutil.copytree(folder, keep / f"{reader.name}-{seed}-{number}", dirs_exist_ok=True)
-        elif shape not in heard and sum(map(len, mutant.values())) < 200_000:
+        elif (shape not in heard or coverage.grew) and sum(map(len, mutant.values())) < 200_000:
             seeds.append(mutant)
             if len(seeds) > own + MOST_KEPT:
                 seeds.pop(rng.randrange(own, len(seeds)))
@@ -181,6 +225,7 @@ def main() -> int:
     parser.add_argument("--readers", nargs="*", choices=sorted(READERS), default=sorted(READERS))
     parser.add_argument("--files", type=int, default=500, help="mutated files for each reader")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--coverage", action="store_true", help="keep what reaches new lines, too")
     parser.add_argument("--keep", type=Path, help="folder for files that were found")
     parser.add_argument("--csv", type=Path, help="add a row for each reader")
     given = parser.parse_args()
@@ -195,13 +240,16 @@ def main() -> int:
         folder = Path(temporary) / "files"
         watch = Watch(folder)
         for name in given.readers:
-            tally = fuzz(READERS[name], given.files, given.seed, given.keep, folder, watch)
-            print(name, dict(tally.counts), f"{tally.longest_s:.2f} s, {tally.gained_mb:.0f} MB", flush=True)
+            coverage = Coverage(given.coverage)
+            tally = fuzz(READERS[name], given.files, given.seed, given.keep, folder, watch, coverage)
+            lines = f", {len(coverage.lines)} lines" if given.coverage else ""
+            print(name, dict(tally.counts), f"{tally.longest_s:.2f} s, {tally.gained_mb:.0f} MB{lines}", flush=True)
             for find in tally.finds:
                 print("   ", find.replace("\n", "\n    "), flush=True)
             found += len(tally.finds)
             if given.csv:
                 command = f"python benchmarks/fuzz.py --readers {name} --files {given.files} --seed {given.seed}"
+                command += " --coverage" if given.coverage else ""
                 row = pd.DataFrame([_row(READERS[name], tally, command)])
                 row.to_csv(given.csv, mode="a", header=not given.csv.exists(), index=False)
     return 1 if found else 0
