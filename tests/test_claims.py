@@ -128,6 +128,15 @@ def test_who_stands_at_a_bay_takes_the_car_there_before_the_next_one_if_it_is_re
     waits.at_bay_s, waits.ready_s = 0.0, ready_s
     floor.garage.bays[AT["left"]].inbound = waits
     assert floor.claims.only(5) == {AT["left"]: first}
+    elsewhere = Floor("a", "b")
+    elsewhere.claims.next[AT["left"]] = 1
+    elsewhere.garage.bays[AT["left"]].inbound = waits
+    assert elsewhere.claims.only(5) == {AT["left"]: 1}  # nobody stands there
+    leaves = Floor("left", "b")
+    leaves.claims.next[AT["left"]] = 1
+    leaves.garage.bays[AT["left"]].inbound = waits
+    leaves.executor.agvs[0].standing = False
+    assert leaves.claims.only(5) == {AT["left"]: 1}  # who was there drives off
 
 
 # --- a bay for a nearer AGV, a home for one that waits ----------------------------------------------------------------

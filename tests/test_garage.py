@@ -280,6 +280,11 @@ def test_a_car_that_was_turned_away_cannot_be_asked_for_and_may_come_again():
     garage.lifted(out, 2.0)
     assert park(garage, "e").state == "waiting"
     assert retrieve(garage, "e").state == "waiting"
+    again = empty(balk_cars=0)
+    assert park(again, "f").state == "turned_away"
+    again._customers = Customers(10.0)
+    assert park(again, "f").state == "waiting"
+    assert again._turned_away == set()
 
 
 def test_customers_turn_away_at_a_queue_of_so_many_cars():
