@@ -420,5 +420,5 @@ def test_a_body_that_turns_on_the_spot_sweeps_what_it_does_not_touch_at_either_s
     for time_s, degrees in ((0.5, -45.0), (1.0, 45.0)):
         nose = 2.5 * math.cos(math.radians(degrees)), 2.5 * math.sin(math.radians(degrees)), degrees
         given = bodies(nose, (tip, 0.0, 180.0))
-        check.step(time_s, replace(given, width=np.array([2.0, 0.2])))
+        check.step(time_s, replace(given, length=np.array([5.0, 3.0]), width=np.array([2.0, 0.2])))
     assert check.result().overlaps == overlaps
