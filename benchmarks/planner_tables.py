@@ -65,12 +65,12 @@ def run_sizing(case: Row) -> Row:
 
 
 def argparse_of(case: Row) -> Any:
-    """The options of ``sizing.py``."""
+    """The options of ``sizing.py``, with a folder of its own: several cases may be made at once."""
     from argparse import Namespace
 
     return Namespace(
         garage=case["garage"], most=case["most"], profile="mall-saturday", scale=case["scale"], hours=0.5,
-        plant=case["plant"], folder=Path(tempfile.gettempdir()) / "parking-sim-sizing", workers=1,
+        plant=case["plant"], folder=Path(tempfile.mkdtemp(prefix="parking-sim-sizing-")), workers=1,
     )  # fmt: skip
 
 
