@@ -44,7 +44,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "controller/visits.py": ("test_executor.py", "test_guests.py", "test_executor_against_planners.py"),
     "controller/garage.py": ("test_garage.py", "test_charging.py", "test_turned_away.py"),
     "controller/acs.py": (
-        "test_garage.py", "test_charging.py", "test_places.py", "test_faults.py", "test_thesis_planners.py",
+        "test_garage.py", "test_charging.py", "test_places.py", "test_faults.py",
     ),
     "controller/claims.py": (
         "test_claims.py", "test_places.py", "test_garage.py", "test_charging.py", "test_sumo_plant_customers.py",

@@ -45,9 +45,10 @@ def run_sizing(case: Row) -> Row:
 
     from parking_sim.sizing import parse_target
 
-    given = argparse_of(case)
     target = parse_target(case["target"])
-    values = grid(scenario(given, target.goes_on_s), [target], given)[target.key]
+    with tempfile.TemporaryDirectory() as folder:  # of its own: several cases may be made at once
+        given = argparse_of(case, Path(folder))
+        values = grid(scenario(given, target.goes_on_s), [target], given)[target.key]
     found, best = both(target, values)
     whole = len(SEEDS) * case["most"]
     pairs = [both(one, values) for one in spread(target.key, values, 60)]
@@ -64,13 +65,13 @@ def run_sizing(case: Row) -> Row:
     }
 
 
-def argparse_of(case: Row) -> Any:
-    """The options of ``sizing.py``, with a folder of its own: several cases may be made at once."""
+def argparse_of(case: Row, folder: Path) -> Any:
+    """The options of ``sizing.py``."""
     from argparse import Namespace
 
     return Namespace(
         garage=case["garage"], most=case["most"], profile="mall-saturday", scale=case["scale"], hours=0.5,
-        plant=case["plant"], folder=Path(tempfile.mkdtemp(prefix="parking-sim-sizing-")), workers=1,
+        plant=case["plant"], folder=folder, workers=1,
     )  # fmt: skip
 
 

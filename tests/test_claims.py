@@ -185,7 +185,10 @@ def test_who_waits_takes_the_home_of_one_that_is_away_and_nearer_to_the_bays(mon
     monkeypatch.setattr("controller.claims.NEARER_S", 1.0)
     floor = Floor("home", "near")
     waits, away = floor.agvs
-    absent = lambda: floor.claims.absent_nearer(waits, frozenset())  # noqa: E731
+
+    def absent() -> int:
+        return floor.claims.absent_nearer(waits, frozenset())
+
     assert absent() == -1  # it is at home
     floor = Floor("home", "b")
     waits, away = floor.agvs
